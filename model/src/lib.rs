@@ -1,0 +1,5 @@
+//! What is learned of the world: the JEPA encoder and predictors, the risk and channel heads, and
+//! CRPL's two policies.
+
+pub mod kernel;
+pub mod mlp;

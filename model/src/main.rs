@@ -1,0 +1,2 @@
+//! The world model and its policies.
+fn main() {}

@@ -1,0 +1,426 @@
+//! Every parameter of a flight. `Default` is the paper; a file holds only what differs from it.
+//!
+//! What the paper does not give is marked *our choice* here and argued in `docs/choices.md`.
+//! An unknown key is an error, and after [`Scenario::load`] nothing checks ranges again.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+use crate::units::Scale;
+
+/// One flight's parameters. Lengths in the paper's units, times in control intervals.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scenario {
+    /// Name in reports and plots.
+    pub name: String,
+    /// Number of control intervals H.
+    pub horizon: u64,
+    /// Start r_c,0, at rest.
+    pub start: Vector2<f64>,
+    /// Goal r_g.
+    pub goal: Vector2<f64>,
+    /// Radius of the goal region.
+    pub goal_radius: f64,
+    /// R_u, radius of the UAV (our choice).
+    pub uav_radius: f64,
+    /// The uncontrollable entity.
+    pub obstacle: Obstacle,
+    /// Motion of the UAV.
+    pub dynamics: Dynamics,
+    /// Disturbance of the UAV's speed.
+    pub disturbance: Disturbance,
+    /// Path loss and blockage.
+    pub channel: Channel,
+    /// Packets.
+    pub radio: Radio,
+    /// Collision probability and its tolerance.
+    pub safety: Safety,
+    /// Rotary-wing power.
+    pub propulsion: Propulsion,
+    /// NED metres and seconds.
+    pub scale: Scale,
+    /// What the camera draws.
+    pub camera: crate::camera::Camera,
+}
+
+impl Default for Scenario {
+    /// Scenario 2 of the paper: the obstacle in the direct path.
+    fn default() -> Self {
+        Self {
+            name: "scenario 2".into(),
+            horizon: 100,
+            start: Vector2::new(0.1, 0.5),
+            goal: Vector2::new(0.9, 0.5),
+            goal_radius: 0.05,
+            uav_radius: 0.02,
+            obstacle: Obstacle::default(),
+            dynamics: Dynamics::default(),
+            disturbance: Disturbance::default(),
+            channel: Channel::default(),
+            radio: Radio::default(),
+            safety: Safety::default(),
+            propulsion: Propulsion::default(),
+            scale: Scale::default(),
+            camera: crate::camera::Camera::default(),
+        }
+    }
+}
+
+/// The obstacle: stands in flights, moves and reflects in training data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Obstacle {
+    /// r_u,0: (0.5, 0.30) in Scenario 1, (0.5, 0.45) in Scenario 2.
+    pub position: Vector2<f64>,
+    /// v_u, units per interval; zero stands.
+    pub velocity: Vector2<f64>,
+    /// R_o (our choice).
+    pub radius: f64,
+    /// Distance of its centre to a wall at which it reflects (our choice: its drawn edge touches).
+    pub margin: f64,
+}
+
+impl Default for Obstacle {
+    fn default() -> Self {
+        Self { position: Vector2::new(0.5, 0.45), velocity: Vector2::zeros(), radius: 0.10, margin: 0.12 }
+    }
+}
+
+/// Second-order motion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Dynamics {
+    /// v_max, units per interval.
+    pub v_max: f64,
+    /// a_max, units per interval².
+    pub a_max: f64,
+    /// Whether [0,1]² has walls (our choice: yes).
+    pub walls: bool,
+}
+
+impl Default for Dynamics {
+    fn default() -> Self {
+        Self { v_max: 0.04, a_max: 3.5e-3, walls: true }
+    }
+}
+
+/// Disturbance of the speed: w_k times `noise_gain` · `sigma_c`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Disturbance {
+    /// σ_c of the paper.
+    pub sigma_c: f64,
+    /// Kick per unit of σ_c (our choice: 0.3; read literally, 1, no controller reaches the goal).
+    pub noise_gain: f64,
+}
+
+impl Default for Disturbance {
+    fn default() -> Self {
+        Self { sigma_c: 0.0, noise_gain: 0.3 }
+    }
+}
+
+impl Disturbance {
+    /// Standard deviation of the speed's kick in each axis, units per interval.
+    #[must_use]
+    pub fn kick(&self) -> f64 {
+        self.noise_gain * self.sigma_c
+    }
+}
+
+/// Geometry to SNR.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Channel {
+    /// r_BS
+    pub base_station: Vector2<f64>,
+    /// G0
+    pub reference_gain: f64,
+    /// α_PL
+    pub path_loss_exponent: f64,
+    /// κ_NLOS
+    pub nlos_attenuation: f64,
+    /// P_n (our choice).
+    pub noise_power: f64,
+    /// τ_b, softness of the obstacle's shadow (our choice).
+    pub blockage_softness: f64,
+    /// Smallest distance in the path loss (our choice).
+    pub distance_floor: f64,
+    /// γ_min
+    pub snr_min: f64,
+}
+
+impl Default for Channel {
+    fn default() -> Self {
+        Self {
+            base_station: Vector2::new(0.5, 0.05),
+            reference_gain: 1.0,
+            path_loss_exponent: 2.0,
+            nlos_attenuation: 0.1,
+            noise_power: 1.0,
+            blockage_softness: 0.02,
+            distance_floor: 1e-3,
+            snr_min: 1.0,
+        }
+    }
+}
+
+/// What happens to a packet that an interval could not carry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Rule {
+    /// Every packet gets through: the paper's trajectory figures.
+    Ideal,
+    /// It is lost: the paper's bandwidth and disturbance figures.
+    Drop,
+    /// It is sent again in the next interval, unless a newer one has taken its place.
+    Queue,
+}
+
+/// The packet link.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Radio {
+    /// What becomes of a packet in an outage.
+    pub rule: Rule,
+    /// B Δt, bits per interval and unit of spectral efficiency (our choice: 4, where the outage
+    /// begins at γ = γ_min = 1). The paper sweeps B without naming its values.
+    pub b_dt: f64,
+    /// L_pkt
+    pub packet_bits: f64,
+}
+
+impl Default for Radio {
+    fn default() -> Self {
+        Self { rule: Rule::Drop, b_dt: 4.0, packet_bits: 4.0 }
+    }
+}
+
+/// Collision probability and the tolerances of the chance constraints.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Safety {
+    /// d_min
+    pub d_min: f64,
+    /// τ_c, softness of the collision probability (our choice).
+    pub softness: f64,
+    /// δ1
+    pub collision_tolerance: f64,
+    /// δ2
+    pub outage_tolerance: f64,
+}
+
+impl Default for Safety {
+    fn default() -> Self {
+        Self { d_min: 0.0, softness: 0.02, collision_tolerance: 0.05, outage_tolerance: 0.05 }
+    }
+}
+
+/// Rotary-wing power model; all given by the paper, SI units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Propulsion {
+    /// P0, W
+    pub blade_profile_power: f64,
+    /// P_i, W
+    pub induced_power: f64,
+    /// U_tip, m/s
+    pub tip_speed: f64,
+    /// v0, m/s
+    pub hover_induced_velocity: f64,
+    /// d0
+    pub fuselage_drag_ratio: f64,
+    /// ρ, kg/m³
+    pub air_density: f64,
+    /// s
+    pub rotor_solidity: f64,
+    /// A, m²
+    pub rotor_area: f64,
+}
+
+impl Default for Propulsion {
+    fn default() -> Self {
+        Self {
+            blade_profile_power: 79.0,
+            induced_power: 88.0,
+            tip_speed: 120.0,
+            hover_induced_velocity: 4.0,
+            fuselage_drag_ratio: 0.3,
+            air_density: 1.225,
+            rotor_solidity: 0.05,
+            rotor_area: 0.5,
+        }
+    }
+}
+
+/// Why a scenario could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ScenarioError {
+    /// The file could not be read.
+    #[error("reading {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not a scenario.
+    #[error("reading {path}: {message}")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Line, key and reason, from the parser.
+        message: String,
+    },
+    /// A value is out of range.
+    #[error("{key} = {value}: {must}")]
+    Range {
+        /// Dotted key.
+        key: &'static str,
+        /// The value found.
+        value: f64,
+        /// What it must be.
+        must: &'static str,
+    },
+    /// The paper has Scenarios 1 and 2.
+    #[error("there is no scenario {0}; the paper has 1 and 2")]
+    Number(u8),
+}
+
+impl Scenario {
+    /// The paper's Scenario 1 or 2.
+    pub fn numbered(number: u8) -> Result<Self, ScenarioError> {
+        let mut scenario = Self::default();
+        scenario.set_number(number)?;
+        Ok(scenario)
+    }
+
+    /// Puts the obstacle where Scenario 1 or 2 has it; all else stays.
+    pub fn set_number(&mut self, number: u8) -> Result<(), ScenarioError> {
+        self.obstacle.position = match number {
+            1 => Vector2::new(0.50, 0.30),
+            2 => Vector2::new(0.50, 0.45),
+            other => return Err(ScenarioError::Number(other)),
+        };
+        self.name = format!("scenario {number}");
+        Ok(())
+    }
+
+    /// 1 or 2 if the obstacle stands where the paper's scenario has it.
+    #[must_use]
+    pub fn number(&self) -> Option<u8> {
+        (1..=2).find(|&n| Self::numbered(n).is_ok_and(|s| s.obstacle.position == self.obstacle.position))
+    }
+
+    /// Reads a TOML file; keys that it leaves out keep the paper's values.
+    pub fn load(path: &Path) -> Result<Self, ScenarioError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ScenarioError::Read { path: path.into(), source })?;
+        Self::from_toml(&text)
+            .map_err(|message| ScenarioError::Parse { path: path.into(), message: message.to_string() })
+    }
+
+    /// Parses and checks a TOML text.
+    pub fn from_toml(text: &str) -> Result<Self, anyhow::Error> {
+        let scenario: Self = toml::from_str(text)?;
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// Checks every range.
+    pub fn check(&self) -> Result<(), ScenarioError> {
+        let positive = "must be finite and above 0";
+        let unit = "must lie in [0, 1]";
+        let finite = "must be finite and at least 0";
+        for (key, value) in [
+            ("scale.metres_per_unit", self.scale.metres_per_unit),
+            ("scale.interval_s", self.scale.interval_s),
+            ("dynamics.v_max", self.dynamics.v_max),
+            ("dynamics.a_max", self.dynamics.a_max),
+            ("goal_radius", self.goal_radius),
+            ("uav_radius", self.uav_radius),
+            ("obstacle.radius", self.obstacle.radius),
+            ("channel.noise_power", self.channel.noise_power),
+            ("channel.blockage_softness", self.channel.blockage_softness),
+            ("channel.distance_floor", self.channel.distance_floor),
+            ("channel.reference_gain", self.channel.reference_gain),
+            ("channel.snr_min", self.channel.snr_min),
+            ("radio.b_dt", self.radio.b_dt),
+            ("radio.packet_bits", self.radio.packet_bits),
+            ("safety.softness", self.safety.softness),
+            ("camera.edge_px", self.camera.edge_px),
+        ] {
+            check(key, value, value > 0.0 && value.is_finite(), positive)?;
+        }
+        for (key, value) in [
+            ("start[0]", self.start.x),
+            ("start[1]", self.start.y),
+            ("goal[0]", self.goal.x),
+            ("goal[1]", self.goal.y),
+            ("obstacle.position[0]", self.obstacle.position.x),
+            ("obstacle.position[1]", self.obstacle.position.y),
+            ("channel.base_station[0]", self.channel.base_station.x),
+            ("channel.base_station[1]", self.channel.base_station.y),
+            ("channel.nlos_attenuation", self.channel.nlos_attenuation),
+            ("safety.collision_tolerance", self.safety.collision_tolerance),
+            ("safety.outage_tolerance", self.safety.outage_tolerance),
+        ] {
+            check(key, value, (0.0..=1.0).contains(&value), unit)?;
+        }
+        for (key, value) in [
+            ("disturbance.sigma_c", self.disturbance.sigma_c),
+            ("disturbance.noise_gain", self.disturbance.noise_gain),
+            ("safety.d_min", self.safety.d_min),
+        ] {
+            check(key, value, value >= 0.0 && value.is_finite(), finite)?;
+        }
+        let speed = self.obstacle.velocity.norm();
+        check("obstacle.velocity", speed, speed <= 0.5, "must be at most 0.5 units per interval")?;
+        let margin = self.obstacle.margin;
+        check("obstacle.margin", margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
+        let interval = self.scale.interval_s;
+        check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
+        let horizon = self.horizon as f64;
+        check("horizon", horizon, horizon >= 1.0, "must be at least 1")
+    }
+}
+
+fn check(key: &'static str, value: f64, good: bool, must: &'static str) -> Result<(), ScenarioError> {
+    if good { Ok(()) } else { Err(ScenarioError::Range { key, value, must }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_survives_its_own_checks_and_toml() {
+        let scenario = Scenario::default();
+        scenario.check().unwrap();
+        let text = toml::to_string(&scenario).unwrap();
+        assert_eq!(Scenario::from_toml(&text).unwrap(), scenario);
+    }
+
+    #[test]
+    fn a_misspelt_key_is_named() {
+        let error = Scenario::from_toml("[radio]\nbandwith = 2.5\n").unwrap_err().to_string();
+        assert!(error.contains("bandwith"), "{error}");
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_named() {
+        let error = Scenario::from_toml("[radio]\nb_dt = -1.0\n").unwrap_err().to_string();
+        assert_eq!(error, "radio.b_dt = -1: must be finite and above 0");
+        assert!(Scenario::from_toml("[dynamics]\na_max = nan\n").is_err());
+    }
+
+    #[test]
+    fn scenarios_have_numbers() {
+        assert_eq!(Scenario::numbered(1).unwrap().number(), Some(1));
+        assert_eq!(Scenario::default().number(), Some(2));
+        assert!(Scenario::numbered(3).is_err());
+    }
+}
