@@ -14,10 +14,10 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
 
 use crate::vehicle::Vehicle;
 
-/// First pause before a percept is sent again in lockstep.
+/// First pause before something is sent again.
 const RESEND_FIRST: Duration = Duration::from_millis(20);
-/// Longest pause before a percept is sent again in lockstep.
-const RESEND_LAST: Duration = Duration::from_millis(320);
+/// Longest pause before something is sent again: 5 Hz keeps the setpoint time-outs of autopilots away.
+const RESEND_LAST: Duration = Duration::from_millis(200);
 /// How long the last percept waits for its acknowledgement.
 const LINGER: Duration = Duration::from_secs(3);
 /// Heartbeats, on the wall's clock whatever the pace.
@@ -49,7 +49,7 @@ impl Default for Backoff {
 }
 
 impl Backoff {
-    /// Returns when the pause is over; asks again at once if it is over already.
+    /// Returns when the pause is over, at once if it is over already.
     pub async fn elapsed(&self) {
         sleep_until(self.ends).await;
     }
