@@ -9,6 +9,8 @@
 
 mod commands;
 mod streams;
+#[cfg(test)]
+mod tests;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;

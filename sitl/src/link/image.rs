@@ -257,3 +257,103 @@ fn credible(handshake: &Handshake) -> bool {
         && (1..=MAX_SIZE).contains(&size)
         && size.div_ceil(payload) == usize::from(handshake.packets)
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::*;
+    use crate::camera;
+    use crate::link::decoder::Decoder;
+    use crate::scenario::Scenario;
+
+    fn picture(x: f64) -> Frame {
+        camera::render(Vector2::new(x, 0.31), Vector2::new(0.5, 0.45), &Scenario::default())
+    }
+
+    fn packets(frame: &Frame, tick: u64) -> Vec<Packet> {
+        let png = png_from_frame(frame, Tick(tick)).unwrap();
+        let mut decoder = Decoder::default();
+        datagrams(&png, &mut Encoder::new(1, 1)).iter().flat_map(|d| decoder.datagram(d)).collect()
+    }
+
+    fn feed<'a>(
+        images: &mut Reassembler,
+        packets: impl IntoIterator<Item = &'a Packet>,
+    ) -> Option<(Tick, Frame)> {
+        packets.into_iter().filter_map(|packet| images.push(packet)).last()
+    }
+
+    #[test]
+    fn pictures_are_lossless_name_their_tick_and_are_always_the_same_bytes() {
+        for (k, x) in [0.0, 0.1, 0.45, 0.777, 1.0].into_iter().enumerate() {
+            let frame = picture(x);
+            let png = png_from_frame(&frame, Tick(k as u64)).unwrap();
+            assert_eq!(frame_from_png(&png).unwrap(), (Tick(k as u64), frame.clone()));
+            assert_eq!(png, png_from_frame(&frame, Tick(k as u64)).unwrap());
+            assert!(png.len() < 10 * CHUNK, "{} bytes", png.len());
+        }
+        let noise: Vec<u8> = (0..SIDE * SIDE * 3).map(|i| (i * i % 251) as u8).collect();
+        let frame = Frame::from_rgb(noise).unwrap();
+        assert_eq!(frame_from_png(&png_from_frame(&frame, Tick(7)).unwrap()).unwrap(), (Tick(7), frame));
+    }
+
+    #[test]
+    fn chunks_may_come_in_any_order_twice_and_in_a_later_repeat() {
+        let frame = picture(0.3);
+        let packets = packets(&frame, 5);
+        let mut images = Reassembler::default();
+        assert_eq!(feed(&mut images, packets.iter().rev()), Some((Tick(5), frame.clone())));
+        let (odd, even): (Vec<_>, Vec<_>) = packets.iter().enumerate().partition(|(k, _)| k % 2 == 1);
+        assert_eq!(feed(&mut images, odd.iter().chain(&odd).map(|(_, p)| *p)), None);
+        assert_eq!(feed(&mut images, even.iter().map(|(_, p)| *p)), Some((Tick(5), frame)));
+    }
+
+    #[test]
+    fn an_image_glued_from_two_is_no_image_and_the_next_repeat_is() {
+        let (old, new) = (packets(&picture(0.31), 5), packets(&picture(0.32), 6));
+        let mut images = Reassembler::default();
+        assert_eq!(feed(&mut images, &old[..3]), None);
+        let mut glued = new.clone();
+        glued[2] = old[2].clone();
+        assert_eq!(feed(&mut images, &glued), None);
+        assert_eq!(images.rejected(), 1);
+        assert_eq!(feed(&mut images, &new), Some((Tick(6), picture(0.32))));
+    }
+
+    #[test]
+    fn announcements_that_do_not_fit_together_are_not_believed() {
+        let good = Handshake::of(&packets(&picture(0.3), 5)[0]).unwrap();
+        assert!(credible(&good));
+        for bad in [
+            Handshake { packets: good.packets + 1, ..good },
+            Handshake { payload: 0, ..good },
+            Handshake { payload: 254, ..good },
+            Handshake { size: u32::MAX, packets: u16::MAX, ..good },
+            Handshake { kind: 0, ..good },
+        ] {
+            assert!(!credible(&bad), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn requests_are_told_apart() {
+        let zero = Handshake { kind: 0, size: 0, width: 0, height: 0, packets: 0, payload: 0, quality: 0 };
+        assert_eq!(zero.wish(), Wish::Stop);
+        assert_eq!(Handshake { kind: PNG, ..zero }.wish(), Wish::Start);
+        assert_eq!(Handshake { kind: PNG, quality: 50, ..zero }.wish(), Wish::Start);
+        assert_eq!(Handshake { quality: 50, ..zero }.wish(), Wish::OtherType(0));
+        assert_eq!(Handshake { kind: PNG, size: 9, ..zero }.wish(), Wish::NoRequest);
+    }
+
+    #[test]
+    fn other_pictures_are_named_for_what_they_are() {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 10, 20);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.write_header().unwrap().write_image_data(&[0; 200]).unwrap();
+        let error = frame_from_png(&bytes).unwrap_err().to_string();
+        assert_eq!(error, "the picture is 10x20 Grayscale Eight, expected 100x100 RGB of 8 bits");
+        assert!(frame_from_png(b"no picture").is_err());
+    }
+}

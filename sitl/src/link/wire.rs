@@ -421,3 +421,6 @@ pub fn ask_of(packet: &Packet) -> Option<Ask> {
         target: Target { system: fields.u8(30), component: fields.u8(31) },
     })
 }
+
+#[cfg(test)]
+mod tests;
