@@ -25,8 +25,6 @@ use crate::remote::{Event, Remote};
 
 /// The station's heartbeat.
 const HEARTBEAT: Duration = Duration::from_secs(1);
-/// Pictures are asked for again when none has come for so long.
-const PICTURES_MISSING: Duration = Duration::from_secs(1);
 /// How often, and how far apart, the last percept is acknowledged: the vehicle does not answer.
 const FAREWELLS: (u32, Duration) = (4, Duration::from_millis(15));
 
@@ -102,22 +100,22 @@ pub async fn fly(
                             if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
                                 return shell.over(percept).await;
                             }
-                            let command = station(&percept);
-                            shell.last = Some((percept, command));
-                            shell.send_command().await?;
+                            let command = shell.remote.command(&station(&percept));
+                            shell.send(&command).await?;
+                            shell.flight.last = Some(percept);
                             shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
                             resend = Backoff::default();
                         }
                         Event::Repeat(_) => {
                             shell.flight.repeats += 1;
-                            shell.send_command().await?;
+                            shell.repeat().await?;
                         }
                         Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
                     }
                 }
             }
             () = resend.elapsed() => {
-                shell.ask_again().await?;
+                shell.repeat().await?;
                 resend.lengthen();
             }
             _ = beat.tick() => shell.beat().await?,
@@ -146,7 +144,6 @@ struct Shell<'a> {
     peer: Option<SocketAddr>,
     remote: Remote,
     tlog: Option<Tlog<BufWriter<File>>>,
-    last: Option<(Percept, Command)>,
     first_percept: Option<Instant>,
     last_percept: Instant,
     last_heard: Option<Instant>,
@@ -171,7 +168,6 @@ impl<'a> Shell<'a> {
             peer,
             remote: Remote::new(scenario),
             tlog,
-            last: None,
             first_percept: None,
             last_percept: Instant::now(),
             last_heard: None,
@@ -242,19 +238,12 @@ impl<'a> Shell<'a> {
         tracing::debug!(tick = percept.telemetry.tick.0, "percept");
     }
 
-    async fn send_command(&mut self) -> Result<()> {
-        let Some((_, command)) = &self.last else { return Ok(()) };
-        let datagram = self.remote.command(command);
-        self.send(&datagram).await
-    }
-
-    /// Something is missing: our command may be lost, or the pictures are not flowing.
-    async fn ask_again(&mut self) -> Result<()> {
-        if self.last.is_none() || self.last_percept.elapsed() > PICTURES_MISSING {
-            let datagram = self.remote.image_request();
+    /// Something is missing.
+    async fn repeat(&mut self) -> Result<()> {
+        for datagram in self.remote.repeat() {
             self.send(&datagram).await?;
         }
-        self.send_command().await
+        Ok(())
     }
 
     async fn beat(&mut self) -> Result<()> {
@@ -291,8 +280,153 @@ impl<'a> Shell<'a> {
         if let Some(tlog) = &mut self.tlog {
             tlog.flush().context("writing the tlog")?;
         }
-        let last = self.flight.last.take().or(self.last.map(|(percept, _)| percept));
         let (packets, misfits) = (self.remote.counts(), self.remote.misfits());
-        Ok(Flight { ended, last, packets, misfits, ..self.flight })
+        Ok(Flight { ended, packets, misfits, ..self.flight })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::Sim;
+    use sitl::msg::TxPower;
+    use sitl::vehicle::Vehicle;
+
+    use super::*;
+
+    const TICKS: u64 = 30;
+    const TIMEOUT: Duration = Duration::from_secs(60);
+
+    fn endpoint(text: &str) -> Endpoint {
+        text.parse().unwrap()
+    }
+
+    fn station(percept: &Percept) -> Command {
+        let [north, east] = percept.telemetry.position;
+        let power = if percept.telemetry.tick.0 % 3 == 0 { TxPower::High } else { TxPower::Low };
+        Command { tick: percept.telemetry.tick, accel: [(north * 7.0).sin(), (east * 7.0).cos()], power }
+    }
+
+    fn direct() -> Vec<Percept> {
+        let mut sim = Sim::new(Scenario::default(), 3);
+        let mut percepts = vec![sim.percept()];
+        for k in 0..TICKS as usize {
+            sim.handle(station(&percepts[k]));
+            sim.advance();
+            percepts.push(sim.percept());
+        }
+        percepts
+    }
+
+    /// A vehicle on a free port; gives its address.
+    async fn vehicle(lockstep: bool) -> SocketAddr {
+        let (socket, _) = endpoint("udpin:127.0.0.1:0").open().await.unwrap();
+        let address = socket.local_addr().unwrap();
+        let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
+        tokio::spawn(async move {
+            let mut shell = sitl::shell::Shell::new(socket, vehicle, None);
+            if lockstep { shell.lockstep().await } else { shell.real_time(Duration::from_millis(10)).await }
+        });
+        address
+    }
+
+    /// A relay to `vehicle` that loses every n-th datagram; gives the address to connect to.
+    async fn relay(vehicle: SocketAddr, n: u64) -> SocketAddr {
+        let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let address = socket.local_addr().unwrap();
+        tokio::spawn(async move {
+            let (mut buffer, mut station, mut count) = (vec![0; 65_536], None, 0_u64);
+            while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+                count += 1;
+                let to = if from == vehicle {
+                    station
+                } else {
+                    station = Some(from);
+                    Some(vehicle)
+                };
+                if let Some(to) = to.filter(|_| !count.is_multiple_of(n)) {
+                    let _ = socket.send_to(&buffer[..length], to).await;
+                }
+            }
+        });
+        address
+    }
+
+    async fn flown(address: SocketAddr, options: &Options) -> (Vec<Percept>, Flight) {
+        let mut percepts = Vec::new();
+        let connect = endpoint(&format!("udpout:{address}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, options, |percept| {
+            percepts.push(percept.clone());
+            station(percept)
+        });
+        let flight = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap();
+        percepts.extend(flight.last.clone());
+        (percepts, flight)
+    }
+
+    fn options() -> Options {
+        Options { ticks: Some(TICKS), ..Options::default() }
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_udp_is_the_flight_in_process() {
+        let (percepts, flight) = flown(vehicle(true).await, &options()).await;
+        assert_eq!(percepts, direct());
+        assert_eq!(flight.ended, Ended::Over);
+        assert_eq!(flight.latencies_us.len(), TICKS as usize);
+        assert_eq!(flight.misfits, 0);
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_a_lossy_path_is_the_flight_in_process() {
+        let address = relay(vehicle(true).await, 7).await;
+        let (percepts, _) = flown(address, &options()).await;
+        assert_eq!(percepts, direct());
+    }
+
+    #[tokio::test]
+    async fn real_time_flies_to_its_end() {
+        let (percepts, _) = flown(vehicle(false).await, &options()).await;
+        assert_eq!(percepts.last().map(|p| p.telemetry.tick), Some(Tick(TICKS)));
+    }
+
+    #[tokio::test]
+    async fn the_log_holds_both_directions() {
+        let path = std::env::temp_dir().join(format!("fly-{}.tlog", std::process::id()));
+        let options = Options { tlog: Some(path.clone()), ..options() };
+        flown(vehicle(true).await, &options).await;
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let (mut at, mut systems, mut last) = (0, std::collections::BTreeSet::new(), 0);
+        while at < bytes.len() {
+            let time = u64::from_be_bytes(bytes[at..at + 8].try_into().unwrap());
+            assert!(time >= last && bytes[at + 8] == 0xFD);
+            last = time;
+            systems.insert(bytes[at + 13]);
+            at += 8 + 12 + usize::from(bytes[at + 9]);
+        }
+        assert_eq!(systems.into_iter().collect::<Vec<_>>(), [1, 255]);
+    }
+
+    #[tokio::test]
+    async fn nobody_there_is_said_in_one_line() {
+        let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let connect = endpoint(&format!("udpout:{}", silent.local_addr().unwrap()));
+        let options = Options { patience: Duration::from_millis(200), ..Options::default() };
+        let error = fly(&connect, &Scenario::default(), &options, station).await.unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{connect}: no MAVLink vehicle heard")), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_link_that_falls_silent_is_told_with_its_tick() {
+        let target = vehicle(true).await;
+        let cut = relay(target, u64::MAX).await;
+        let options = Options { silence: Duration::from_millis(300), ..Options::default() };
+        // The vehicle's flight is over after its last tick, and then it falls silent.
+        let connect = endpoint(&format!("udpout:{cut}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, &options, station);
+        let error = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap_err().to_string();
+        assert!(error.ends_with(&format!("silent for 0.3 s at tick {TICKS}")), "{error}");
     }
 }

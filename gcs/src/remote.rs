@@ -43,8 +43,14 @@ pub struct Remote {
     /// Of the percept to come.
     frame: Option<(Tick, Frame)>,
     newest: Option<Tick>,
+    command: Option<Command>,
+    /// Repeats since the newest percept.
+    repeats: u32,
     heard: Vec<Packet>,
 }
+
+/// Repeats without a new percept after which the pictures are asked for again.
+const PICTURES_MISSING: u32 = 5;
 
 impl Remote {
     /// A vehicle that flies this scenario and has not been heard yet.
@@ -60,6 +66,8 @@ impl Remote {
             report: None,
             frame: None,
             newest: None,
+            command: None,
+            repeats: 0,
             heard: Vec::new(),
         }
     }
@@ -110,15 +118,34 @@ impl Remote {
         let (_, frame) = self.frame.take_if(|(tick, _)| *tick == telemetry.tick)?;
         self.report = None;
         self.newest = Some(telemetry.tick);
+        self.repeats = 0;
         Some(Percept { telemetry, frame: Arc::new(frame) })
     }
 
     /// The datagram of a command: power and setpoint, so that none comes without the other.
     pub fn command(&mut self, command: &Command) -> Vec<u8> {
+        self.command = Some(*command);
         let mut datagram = Vec::new();
         let system = self.system.unwrap_or_default();
         wire::push_command(command, &self.clock, system, &mut self.station, &mut datagram);
         datagram
+    }
+
+    /// What to send when something is missing: the newest command, and the request for pictures if
+    /// they do not flow. Every other time twice: a path that loses each n-th datagram must not lose
+    /// the same one for ever.
+    pub fn repeat(&mut self) -> Vec<Vec<u8>> {
+        self.repeats += 1;
+        let mut datagrams = Vec::new();
+        for _ in 0..1 + self.repeats % 2 {
+            if self.command.is_none() || self.repeats > PICTURES_MISSING {
+                datagrams.push(self.image_request());
+            }
+            if let Some(command) = self.command {
+                datagrams.push(self.command(&command));
+            }
+        }
+        datagrams
     }
 
     /// The datagram that confirms the last percept of a flight.
@@ -180,3 +207,6 @@ impl Remote {
         self.reports.malformed() + self.images.rejected()
     }
 }
+
+#[cfg(test)]
+mod tests;
