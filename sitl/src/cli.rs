@@ -1,5 +1,6 @@
 //! Flags to a running vehicle: what `sitl` and `gcs sitl` share.
 
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -132,6 +133,7 @@ pub fn main() -> ExitCode {
             tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
         )
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let flown = runtime.context("starting the runtime").and_then(|runtime| runtime.block_on(run(args)));

@@ -136,8 +136,9 @@ impl Vehicle {
         let mut peer = known.unwrap_or_else(|| Peer::new(self.system, false, now));
         let before = peer.decoder.counts();
         let packets = peer.decoder.datagram(bytes);
-        // Junk makes nobody a peer.
-        if is_new && packets.is_empty() {
+        // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
+        // hears MAVLink 2.
+        if is_new && packets.is_empty() && peer.decoder.counts().mavlink1 == 0 {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }

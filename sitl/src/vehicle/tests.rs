@@ -104,6 +104,15 @@ fn a_new_peer_is_greeted_by_heartbeats_then_the_report() {
 }
 
 #[test]
+fn a_station_that_begins_with_mavlink_1_is_greeted_too() {
+    let mut bench = Bench::new();
+    let mut heartbeat = vec![0xFE, 9, 0, 255, 190, 0, 0, 0, 0, 0, 6, 8, 0, 4, 3];
+    let crc = mavlink::calculate_crc(&heartbeat[1..], dialect::HEARTBEAT_DATA::EXTRA_CRC);
+    heartbeat.extend(crc.to_le_bytes());
+    assert_eq!(ids(&bench.datagram(&heartbeat))[..2], [(1, 0), (68, 0)]);
+}
+
+#[test]
 fn reports_flow_to_every_peer_and_pictures_to_those_who_asked() {
     let mut bench = Bench::new();
     bench.hello();
