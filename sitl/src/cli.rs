@@ -140,10 +140,28 @@ pub fn main() -> ExitCode {
     match flown {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", one_line(&error));
             ExitCode::FAILURE
         }
     }
+}
+
+/// An error and its causes in one line: each said once, without a parser's picture of the place.
+#[must_use]
+pub fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let text = cause.to_string();
+        let drawn =
+            |part: &&str| part.trim_start_matches(|c: char| c.is_ascii_digit() || c == ' ').starts_with('|');
+        let text: Vec<&str> = text.lines().filter(|part| !part.is_empty() && !drawn(part)).collect();
+        let text = text.join(": ");
+        if !line.contains(&text) {
+            line.push_str(if line.is_empty() { "" } else { ": " });
+            line.push_str(&text);
+        }
+    }
+    line
 }
 
 /// Prints help or version as clap does, and a wrong flag in one line; gives the exit code.
@@ -173,6 +191,23 @@ mod tests {
         assert_eq!(args.listen.to_string(), "udpin:127.0.0.1:14550");
         assert_eq!(args.pace, Pace::Realtime);
         assert_eq!(args.scenario().unwrap().number(), Some(2));
+    }
+
+    #[test]
+    fn an_error_is_one_line_that_names_file_key_and_place() {
+        let path = std::env::temp_dir().join(format!("sitl-{}.toml", std::process::id()));
+        std::fs::write(&path, "[radio]\nbandwith = 1\n").unwrap();
+        let error = Args { config: Some(path.clone()), ..parse(&[]).unwrap() }.scenario().unwrap_err();
+        std::fs::remove_file(&path).unwrap();
+        let line = one_line(&error);
+        let start = format!(
+            "reading {}: TOML parse error at line 2, column 1: unknown field `bandwith`",
+            path.display()
+        );
+        assert!(line.starts_with(&start) && !line.contains('\n'), "{line}");
+
+        let error = Args { config: Some(path), ..parse(&[]).unwrap() }.scenario().unwrap_err();
+        assert_eq!(one_line(&error).matches("No such file").count(), 1);
     }
 
     #[test]

@@ -179,9 +179,7 @@ impl TelemetryReader {
             dialect::POSITION_TARGET_LOCAL_NED_DATA::ID
             | dialect::DEBUG_VECT_DATA::ID
             | dialect::NAMED_VALUE_FLOAT_DATA::ID => {
-                let Some(open) = self.open.as_mut().filter(|o| o.system == packet.system) else {
-                    return None;
-                };
+                let open = self.open.as_mut().filter(|open| open.system == packet.system)?;
                 open.add(packet, clock).is_some()
             }
             _ => return None,
