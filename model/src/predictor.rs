@@ -20,6 +20,9 @@ pub type Plane = SMatrix<f64, LATENT, 2>;
 /// A latent half.
 pub type Half = SMatrix<f64, LATENT, 1>;
 
+/// Three consecutive latents of one half, oldest first, and the action between the last two.
+pub type Window = ([Half; 3], Vector2<f64>);
+
 /// The predictors of the 16-d halves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linear {
@@ -100,9 +103,8 @@ impl Reduced {
 
 /// Ψ_a by one-step least squares with Ψ0, Ψ1 at (2I, -I): z_{k+1} - 2 z_k + z_{k-1} = Ψ_a a_k.
 ///
-/// `windows`: three consecutive latents, oldest first, and the action between the last two.
 #[must_use]
-pub fn fit_action(windows: &[([Half; 3], Vector2<f64>)]) -> PsiAction {
+pub fn fit_action(windows: &[Window]) -> PsiAction {
     let mut square = Matrix2::zeros();
     let mut cross = PsiAction::zeros();
     for (z, a) in windows {
@@ -115,7 +117,11 @@ pub fn fit_action(windows: &[([Half; 3], Vector2<f64>)]) -> PsiAction {
 /// Ψ0, Ψ1 and Ψ_a together by one-step least squares, Ψ0 and Ψ1 pinned to (2I, -I) by a ridge of
 /// `ridge` times the largest diagonal entry of the latents' Gram matrix. `None` if it is singular.
 #[must_use]
-pub fn fit_pinned(windows: &[([Half; 3], Vector2<f64>)], ridge: f64) -> Option<(Psi, Psi, PsiAction)> {
+pub fn fit_pinned(windows: &[Window], ridge: f64) -> Option<(Psi, Psi, PsiAction)> {
+    fit(windows, ridge, 0.0)
+}
+
+fn fit(windows: &[Window], ridge: f64, action_ridge: f64) -> Option<(Psi, Psi, PsiAction)> {
     const N: usize = 2 * LATENT;
     let mean = windows.iter().fold(Half::zeros(), |m, (z, _)| m + z[1]) / windows.len().max(1) as f64;
     let mut square = DMatrix::<f64>::zeros(N + 2, N + 2);
@@ -132,6 +138,9 @@ pub fn fit_pinned(windows: &[([Half; 3], Vector2<f64>)], ridge: f64) -> Option<(
     for k in 0..N {
         square[(k, k)] += ridge * largest;
     }
+    for k in N..N + 2 {
+        square[(k, k)] += action_ridge;
+    }
     let solution = square.cholesky()?.solve(&cross).transpose(); // [16, 34]
     let d0: Psi = solution.fixed_view::<LATENT, LATENT>(0, 0).into_owned();
     let d1: Psi = solution.fixed_view::<LATENT, LATENT>(0, LATENT).into_owned();
@@ -140,12 +149,20 @@ pub fn fit_pinned(windows: &[([Half; 3], Vector2<f64>)], ridge: f64) -> Option<(
     Some((pin.c0 + d0, pin.c1 + d1, a))
 }
 
+/// Ψ0 and Ψ1 of a half on which no action works.
+#[must_use]
+pub fn fit_free(windows: &[Window], ridge: f64) -> Option<(Psi, Psi)> {
+    // Without actions their Gram entries are zero; a ridge keeps the system regular.
+    let (c0, c1, _) = fit(windows, ridge, 1.0)?;
+    Some((c0, c1))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     /// Latents of a point that accelerates as it is told, on a tilted plane.
-    fn windows() -> (Vec<([Half; 3], Vector2<f64>)>, Plane) {
+    fn windows() -> (Vec<Window>, Plane) {
         let mut plane = Plane::zeros();
         plane[(3, 0)] = 0.6;
         plane[(5, 0)] = 0.8;
