@@ -304,7 +304,7 @@ pub fn get_weights(from: &Reader<'_>) -> Result<Weights, CheckpointError> {
         let c = CONVS[n];
         from.layer(&format!("conv{}", n + 1), &[c.outputs, c.inputs, c.kernel, c.kernel])
     };
-    // The heads are twice as wide where the missing-mass features stand beside h.
+    // z_c's head is twice as wide where the missing-mass features stand beside h.
     let gated = from.shape("head_c.weight")?.get(1) == Some(&(2 * FEATURES));
     let width = if gated { 2 * FEATURES } else { FEATURES };
     Ok(Weights {
@@ -312,7 +312,7 @@ pub fn get_weights(from: &Reader<'_>) -> Result<Weights, CheckpointError> {
         convs: [conv(0)?, conv(1)?, conv(2)?, conv(3)?],
         fc: from.layer("fc", &[FEATURES, POOLED])?,
         head_c: from.layer("head_c", &[LATENT, width])?,
-        head_u: from.layer("head_u", &[LATENT, width])?,
+        head_u: from.layer("head_u", &[LATENT, FEATURES])?,
     })
 }
 

@@ -24,13 +24,11 @@ pub struct ClosedForm {
     pub keep: f64,
     /// Rounds of trimming.
     pub rounds: usize,
-    /// Factor on the missing-mass features while fitting: how freely they may be used.
-    pub gate_gain: f64,
 }
 
 impl Default for ClosedForm {
     fn default() -> Self {
-        Self { ridge_c: 1e-7, ridge_u: 1e-6, floor_u: 1e-9, keep: 0.6, rounds: 12, gate_gain: 1.0 }
+        Self { ridge_c: 1e-7, ridge_u: 1e-6, floor_u: 1e-9, keep: 0.6, rounds: 12 }
     }
 }
 
@@ -79,11 +77,10 @@ pub enum FitError {
 /// Returns the head and its rms residual in latent units.
 pub fn controllable(
     sets: [&Triples; 2],
-    channel: usize,
     gated: bool,
     config: &ClosedForm,
 ) -> Result<(Readout, f64), FitError> {
-    let x = Expansion { channel, gated, gain: config.gate_gain };
+    let x = if gated { Expansion::Gated } else { Expansion::Plain };
     let (mean, spread) = x.moments(sets);
     let width = x.width();
     let mut square = DMatrix::zeros(width, width);
@@ -101,7 +98,7 @@ pub fn controllable(
     }
     let w = square.cholesky().ok_or(FitError::Singular("Gram matrix of z_c"))?.solve(&cross);
     let residual: f64 = differences.iter().zip(&targets).map(|(d, y)| (d * &w - y).norm_squared()).sum();
-    Ok((x.readout(w, &mean), (residual / (2.0 * count)).sqrt()))
+    Ok((Readout::new(w, &mean), (residual / (2.0 * count)).sqrt()))
 }
 
 /// z_u: the two slowest directions of x, `rounds` times fitted on the share `keep` of the short
@@ -109,11 +106,9 @@ pub fn controllable(
 pub fn uncontrollable(
     short: &Triples,
     long: &Triples,
-    channel: usize,
-    gated: bool,
     config: &ClosedForm,
 ) -> Result<(Readout, [f64; 4]), FitError> {
-    let x = Expansion { channel, gated, gain: config.gate_gain };
+    let x = Expansion::Plain;
     let (mean, spread) = x.moments([short, long]);
     let mut covariance = x.covariance([short, long], &mean);
     let width = x.width();
@@ -146,7 +141,7 @@ pub fn uncontrollable(
     let length = c.hypot(s).max(f64::MIN_POSITIVE);
     let turn = DMatrix::from_row_slice(2, 2, &[c, -s, s, c]) / length;
     let w = w * turn;
-    Ok((x.readout(w, &mean), eigenvalues))
+    Ok((Readout::new(w, &mean), eigenvalues))
 }
 
 /// The smallest generalised eigenvectors of M w = λ L L' w, with w' L L' w = 1, by inverse iteration
@@ -178,6 +173,11 @@ fn slowest(m: DMatrix<f64>, root: &DMatrix<f64>) -> Result<(DMatrix<f64>, [f64; 
 }
 
 impl Readout {
+    fn new(w: DMatrix<f64>, mean: &DVector<f64>) -> Self {
+        let offset = w.transpose() * mean;
+        Self { w, offset: Vector2::new(offset[0], offset[1]) }
+    }
+
     /// The 16-d head z = E (W'x - offset) as a layer of f32.
     #[must_use]
     pub fn head(&self, plane: &[[f32; 2]; LATENT]) -> Layer {
@@ -194,17 +194,18 @@ impl Readout {
     }
 }
 
-/// From h and q to what a head reads: x = h, or [h ; g q h] with q of the head's own colour.
-#[derive(Debug, Clone, Copy)]
-struct Expansion {
-    channel: usize,
-    gated: bool,
-    gain: f64,
+/// From h and q to what a head reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Expansion {
+    /// x = h
+    Plain,
+    /// x = [h ; q h], q the missing share of the UAV's mass.
+    Gated,
 }
 
 impl Expansion {
     fn width(self) -> usize {
-        if self.gated { 2 * FEATURES } else { FEATURES }
+        if self == Self::Gated { 2 * FEATURES } else { FEATURES }
     }
 
     /// One row per picture.
@@ -214,7 +215,7 @@ impl Expansion {
             if k < FEATURES {
                 f64::from(f.h[k])
             } else {
-                self.gain * f64::from(f.missing[self.channel] * f.h[k - FEATURES])
+                f64::from(f.missing[0] * f.h[k - FEATURES])
             }
         })
     }
@@ -254,12 +255,4 @@ impl Expansion {
         covariance / count.max(1) as f64
     }
 
-    /// The head on x, from weights on the scaled features.
-    fn readout(self, mut w: DMatrix<f64>, mean: &DVector<f64>) -> Readout {
-        let offset = w.transpose() * mean;
-        for k in FEATURES..self.width() {
-            w.row_mut(k).scale_mut(self.gain);
-        }
-        Readout { w, offset: Vector2::new(offset[0], offset[1]) }
-    }
 }

@@ -83,25 +83,19 @@ impl Encoder {
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
         let Features { h, missing } = self.features(frame);
-        Latent { z_c: self.head(&self.head_c, &h, missing[0]), z_u: self.head(&self.head_u, &h, missing[2]) }
+        let mut x = h;
+        let z_u = read(&self.head_u, &x);
+        if self.head_c.inputs == 2 * FEATURES {
+            x.extend_from_within(..);
+            x[FEATURES..].iter_mut().for_each(|h| *h *= missing[0]);
+        }
+        Latent { z_c: read(&self.head_c, &x), z_u }
     }
 
     /// The latents of many pictures, drawn and encoded on all cores; order and bits as one by one.
     #[must_use]
     pub fn encode_all<T: Sync>(&self, scenes: &[T], draw: impl Fn(&T) -> Frame + Sync) -> Vec<Latent> {
         scenes.par_iter().map(|scene| self.encode(&draw(scene))).collect()
-    }
-
-    /// z = W [h ; q h] + b.
-    fn head(&self, head: &Packed, h: &[f32], missing: f32) -> [f32; LATENT] {
-        let mut x = h.to_vec();
-        if head.inputs == 2 * FEATURES {
-            x.extend(h.iter().map(|h| missing * h));
-        }
-        let mut out = [0.0; BLOCK];
-        out[..LATENT].copy_from_slice(&head.b[..LATENT]);
-        dense(&x, &head.w, &mut out);
-        std::array::from_fn(|k| out[k])
     }
 }
 
@@ -134,6 +128,14 @@ impl Packed {
         let inputs = layer.shape[1];
         Self::new(&layer.b, 1, inputs, |_, i, o| layer.w[o * inputs + i])
     }
+}
+
+/// A latent head: z = W x + b.
+fn read(head: &Packed, x: &[f32]) -> [f32; LATENT] {
+    let mut z = [0.0; BLOCK];
+    z.copy_from_slice(&head.b);
+    dense(x, &head.w, &mut z);
+    std::array::from_fn(|k| z[k])
 }
 
 /// Pixels to h: four convolutions with LeakyReLU, then the linear layer. Returns q.

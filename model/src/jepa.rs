@@ -153,13 +153,11 @@ impl Encoder {
     #[must_use]
     pub fn forward(&self, batch: &Batch) -> (Tensor<2>, Tensor<2>) {
         let h = self.features(batch.frames.clone());
-        let read = |head: &Linear, channel: usize| {
-            let wide = head.weight.dims()[0] == 2 * FEATURES;
-            let q = batch.missing.clone().narrow(1, channel, 1); // [batch, 1]
-            let x = if wide { Tensor::cat(vec![h.clone(), h.clone() * q], 1) } else { h.clone() };
-            head.forward(x)
-        };
-        (read(&self.head_c, 0), read(&self.head_u, 2))
+        let z_u = self.head_u.forward(h.clone());
+        let gated = self.head_c.weight.dims()[0] == 2 * FEATURES;
+        let q = batch.missing.clone().narrow(1, 0, 1); // [batch, 1]
+        let x = if gated { Tensor::cat(vec![h.clone(), h * q], 1) } else { h };
+        (self.head_c.forward(x), z_u)
     }
 
     /// φ_tar ← τ φ_tar + (1-τ) φ, as the target that follows `online`.

@@ -20,7 +20,7 @@ pub type Plane = SMatrix<f64, LATENT, 2>;
 /// A latent half.
 pub type Half = SMatrix<f64, LATENT, 1>;
 
-/// Three consecutive latents of one half, oldest first, and the action between the last two.
+/// Three latents of one half at equal distance, oldest first, and the action that bends them.
 pub type Window = ([Half; 3], Vector2<f64>);
 
 /// The predictors of the 16-d halves.
@@ -101,7 +101,8 @@ impl Reduced {
     }
 }
 
-/// Ψ_a by one-step least squares with Ψ0, Ψ1 at (2I, -I): z_{k+1} - 2 z_k + z_{k-1} = Ψ_a a_k.
+/// Ψ_a by least squares with Ψ0, Ψ1 at (2I, -I): z_{k+d} - 2 z_k + z_{k-d} = Ψ_a u, with u = a_k for
+/// d = 1, else the sum of the actions between, each weighted by d less its distance to k.
 ///
 #[must_use]
 pub fn fit_action(windows: &[Window]) -> PsiAction {

@@ -98,7 +98,8 @@ pub struct EncoderConfig {
     pub mix: f64,
     /// Whether red and blue are divided by their own mass (centroids instead of moments).
     pub normalise: [bool; 2],
-    /// Whether the heads read q h beside h, q being the missing share of the disc's mass.
+    /// Whether z_c's head reads q h beside h, q being the missing share of the UAV's mass: what is cut
+    /// lies outside the frame, which a centroid of the rest cannot tell.
     pub gated: bool,
     /// S, latent units of z_c per unit of length.
     pub scale: f64,
@@ -118,11 +119,14 @@ pub struct PredictorConfig {
     pub episodes: usize,
     /// Ridge to (2I, -I), relative to the largest diagonal entry.
     pub ridge: f64,
+    /// Lag of the windows on which Ψ_ca is fitted, intervals. 1 is the one-step fit; over a longer lag
+    /// the action moves the UAV further and the pictures' error weighs less.
+    pub lag: usize,
 }
 
 impl Default for PredictorConfig {
     fn default() -> Self {
-        Self { episodes: 400, ridge: 1e3 }
+        Self { episodes: 400, ridge: 1e3, lag: 10 }
     }
 }
 
@@ -182,6 +186,7 @@ impl TrainConfig {
             ("frames", self.frames / 6),
             ("batch", self.batch),
             ("predictor.episodes", self.predictor.episodes),
+            ("predictor.lag", self.predictor.lag),
             ("heads.frames", self.heads.frames),
             ("heads.batch", self.heads.batch),
             ("evaluation.frames", self.evaluation.frames),
@@ -198,7 +203,6 @@ impl TrainConfig {
             ("closed_form.ridge_u", self.closed_form.ridge_u),
             ("closed_form.floor_u", self.closed_form.floor_u),
             ("closed_form.keep", self.closed_form.keep),
-            ("closed_form.gate_gain", self.closed_form.gate_gain),
             ("predictor.ridge", self.predictor.ridge),
             ("heads.learning_rate", self.heads.learning_rate),
             ("heads.distance_floor", self.heads.distance_floor),
@@ -210,7 +214,8 @@ impl TrainConfig {
             let must = "must be finite and not below 0";
             return Err(TrainError::Range { key: "encoder.mix", value: self.encoder.mix, must });
         }
-        for (key, lags) in [("long", self.long), ("short", self.short)] {
+        let lag = [1, self.predictor.lag];
+        for (key, lags) in [("long", self.long), ("short", self.short), ("predictor.lag", lag)] {
             if !(1 <= lags[0] && lags[0] <= lags[1] && 2 * lags[1] <= self.data.steps) {
                 let must = "must rise from at least 1 to at most half of data.steps";
                 return Err(TrainError::Range { key, value: lags[1] as f64, must });
@@ -397,9 +402,8 @@ fn fit_heads(
     config: &TrainConfig,
 ) -> Result<Check, TrainError> {
     let [long, short] = sets;
-    let gated = config.encoder.gated;
-    let (c, residual) = closed_form::controllable([long, short], 0, gated, &config.closed_form)?;
-    let (u, eigenvalues) = closed_form::uncontrollable(short, long, 2, gated, &config.closed_form)?;
+    let (c, residual) = closed_form::controllable([long, short], config.encoder.gated, &config.closed_form)?;
+    let (u, eigenvalues) = closed_form::uncontrollable(short, long, &config.closed_form)?;
     weights.head_c = c.head(&planes[0]);
     weights.head_u = u.head(&planes[1]);
     let px = 100.0 / config.encoder.scale;
@@ -416,7 +420,8 @@ fn fit_predictor(
     let episodes = &episodes[..config.predictor.episodes.min(episodes.len())];
     let bar = bar("predictor", episodes.len());
     let wide = |z: &[f32; LATENT]| Half::from_fn(|k, _| f64::from(z[k]));
-    let (mut c, mut u) = (Vec::new(), Vec::new());
+    let (mut c, mut u, mut lagged) = (Vec::new(), Vec::new(), Vec::new());
+    let lag = config.predictor.lag;
     for episode in episodes {
         let frames: Vec<usize> = (0..episode.uav.len()).collect();
         let latents = encoder.encode_all(&frames, |k| episode.frame(*k, scenario));
@@ -426,10 +431,14 @@ fn fit_predictor(
             c.push((half(|l| &l.z_c), *a));
             u.push((half(|l| &l.z_u), Vector2::zeros()));
         }
+        for k in 0..latents.len().saturating_sub(2 * lag) {
+            lagged.push(([0, 1, 2].map(|n| wide(&latents[k + n * lag].z_c)), episode.drive(k, lag)));
+        }
         bar.inc(1);
     }
     bar.finish();
-    let (c0, c1, ca) = predictor::fit_pinned(&c, config.predictor.ridge).ok_or(TrainError::Predictor)?;
+    let (c0, c1, one_step) = predictor::fit_pinned(&c, config.predictor.ridge).ok_or(TrainError::Predictor)?;
+    let ca = if lag == 1 { one_step } else { predictor::fit_action(&lagged) };
     let kept = without_bounces(u, config.closed_form.keep);
     let (u0, u1) = predictor::fit_free(&kept, config.predictor.ridge).ok_or(TrainError::Predictor)?;
     Ok(Linear { c0, c1, ca, u0, u1 })

@@ -140,9 +140,10 @@ pub struct Weights {
     pub convs: [Layer; 4],
     /// 3200 -> 256, without activation.
     pub fc: Layer,
-    /// To z_c: [16, 256], or [16, 512] where the gate q h stands beside h.
+    /// To z_c: [16, 256], or [16, 512] where q h stands beside h, q being the missing share of the
+    /// UAV's mass.
     pub head_c: Layer,
-    /// To z_u; as `head_c`.
+    /// To z_u: [16, 256].
     pub head_u: Layer,
 }
 
@@ -150,7 +151,7 @@ impl Weights {
     /// Recipe A's start: triangle kernels that keep the centre of mass of a blob exactly linear in the
     /// features, one copied channel per output plus `mix` of dense noise, biases zero, heads zero.
     ///
-    /// `gated` makes room for the missing-mass features in the heads.
+    /// `gated` makes room for the missing-mass features in z_c's head.
     #[must_use]
     pub fn initial(input: Input, mix: f64, gated: bool, noise: &Noise) -> Self {
         let mut rng = noise.generator(Stream::Weights, 0);
@@ -160,14 +161,8 @@ impl Weights {
         for w in &mut fc.w {
             *w = (deviation * normal(&mut rng)) as f32;
         }
-        let width = if gated { 2 * FEATURES } else { FEATURES };
-        Self { input, convs, fc, head_c: Layer::zeros(&[LATENT, width]), head_u: Layer::zeros(&[LATENT, width]) }
-    }
-
-    /// Whether the heads read the missing-mass features q h beside h.
-    #[must_use]
-    pub fn gated(&self) -> bool {
-        self.head_c.shape[1] == 2 * FEATURES
+        let head_c = Layer::zeros(&[LATENT, if gated { 2 * FEATURES } else { FEATURES }]);
+        Self { input, convs, fc, head_c, head_u: Layer::zeros(&[LATENT, FEATURES]) }
     }
 
     /// Number of trainable values.
