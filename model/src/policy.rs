@@ -104,6 +104,25 @@ impl Policies {
         Self { motion, power }
     }
 
+    /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
+    pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
+        let (path, bytes) = match scenario {
+            1 => (
+                "pretrained/policy_s1.safetensors",
+                include_bytes!("../pretrained/policy_s1.safetensors").as_slice(),
+            ),
+            2 => (
+                "pretrained/policy_s2.safetensors",
+                include_bytes!("../pretrained/policy_s2.safetensors").as_slice(),
+            ),
+            other => {
+                let message = format!("no policy ships for scenario {other}");
+                return Err(PolicyError::Content { path: "pretrained".into(), message });
+            }
+        };
+        Self::from_bytes(bytes).map_err(|message| PolicyError::Content { path: path.into(), message })
+    }
+
     /// Σ π_s A_s, the relaxed motion.
     #[must_use]
     pub fn mean_motion(&self, x: &[f32; FEATURES]) -> Vector2<f64> {
