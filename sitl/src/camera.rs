@@ -178,7 +178,10 @@ mod tests {
             let frame = render(r, Vector2::new(0.8, 0.8), &scenario);
             let (m, x, y) = moments(&frame, 0);
             assert!((m / area - 1.0).abs() < 4e-3, "area {m} at {r}");
-            assert!((x - 100.0 * r.x).abs() < 0.05 && (y - 100.0 * r.y).abs() < 0.05, "centre {x} {y} at {r}");
+            assert!(
+                (x - 100.0 * r.x).abs() < 0.05 && (y - 100.0 * r.y).abs() < 0.05,
+                "centre {x} {y} at {r}"
+            );
         }
     }
 

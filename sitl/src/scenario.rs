@@ -377,10 +377,19 @@ impl Scenario {
         ] {
             check(key, value, value >= 0.0 && value.is_finite(), finite)?;
         }
-        let speed = self.obstacle.velocity.norm();
-        check("obstacle.velocity", speed, speed <= 0.5, "must be at most 0.5 units per interval")?;
         let margin = self.obstacle.margin;
         check("obstacle.margin", margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
+        let (speed, most) = (self.obstacle.velocity.norm(), (1.0 - 2.0 * margin).min(0.5));
+        let must = "must be at most 0.5 units per interval, and at most 1 - 2 obstacle.margin";
+        check("obstacle.velocity", speed, speed <= most, must)?;
+        let inside = margin..=1.0 - margin;
+        for (key, r, v) in [
+            ("obstacle.position[0]", self.obstacle.position.x, self.obstacle.velocity.x),
+            ("obstacle.position[1]", self.obstacle.position.y, self.obstacle.velocity.y),
+        ] {
+            let must = "must be obstacle.margin or more from the walls if it moves";
+            check(key, r, v == 0.0 || inside.contains(&r), must)?;
+        }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
         let horizon = self.horizon as f64;
@@ -415,6 +424,16 @@ mod tests {
         let error = Scenario::from_toml("[radio]\nb_dt = -1.0\n").unwrap_err().to_string();
         assert_eq!(error, "radio.b_dt = -1: must be finite and above 0");
         assert!(Scenario::from_toml("[dynamics]\na_max = nan\n").is_err());
+    }
+
+    #[test]
+    fn a_moving_obstacle_starts_and_stays_inside_its_margin() {
+        let error = |text: &str| Scenario::from_toml(text).unwrap_err().to_string();
+        let text = "[obstacle]\nposition = [0.1, 0.5]\nvelocity = [0.01, 0.0]\n";
+        assert!(error(text).starts_with("obstacle.position[0] = 0.1: must be"), "{}", error(text));
+        let text = "[obstacle]\nmargin = 0.45\nvelocity = [0.2, 0.0]\n";
+        assert!(error(text).starts_with("obstacle.velocity = 0.2: must be"), "{}", error(text));
+        assert!(Scenario::from_toml("[obstacle]\nposition = [0.1, 0.5]\n").is_ok(), "it stands");
     }
 
     #[test]

@@ -27,7 +27,8 @@ pub fn profile_folder() -> Result<PathBuf> {
 /// once per test process, and cargo itself keeps processes apart.
 pub fn path(name: &str) -> Result<PathBuf> {
     static BUILT: OnceLock<std::result::Result<PathBuf, String>> = OnceLock::new();
-    let folder = BUILT.get_or_init(|| build().map_err(|e| format!("{e:#}"))).clone().map_err(|e| anyhow!(e))?;
+    let folder =
+        BUILT.get_or_init(|| build().map_err(|e| format!("{e:#}"))).clone().map_err(|e| anyhow!(e))?;
     let program = folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
     if !program.is_file() {
         bail!("cargo built no program {name} in {}", folder.display());
@@ -134,7 +135,9 @@ impl Program {
     pub fn wait(mut self) -> Result<Finished> {
         let deadline = Instant::now() + PATIENCE;
         let status = loop {
-            if let Some(status) = self.child.try_wait().with_context(|| format!("waiting for {}", self.name))? {
+            if let Some(status) =
+                self.child.try_wait().with_context(|| format!("waiting for {}", self.name))?
+            {
                 break status;
             }
             if Instant::now() > deadline {

@@ -67,11 +67,7 @@ fn channel_and_safety() {
         for (what, got, want) in [
             ("d", (uav - s.channel.base_station).norm(), case.d),
             ("h_los_sq", channel::los_gain(uav, &s.channel), case.h_los_sq),
-            (
-                "d_seg",
-                channel::distance_to_sight_line(uav, obstacle, s.channel.base_station),
-                case.d_seg,
-            ),
+            ("d_seg", channel::distance_to_sight_line(uav, obstacle, s.channel.base_station), case.d_seg),
             ("p_block", channel::blockage(uav, obstacle, radius, &s.channel), case.p_block),
             ("h_sq", gain, case.h_sq),
             ("snr", channel::snr(gain, case.a_p, &s.channel).0, case.snr),
@@ -123,6 +119,8 @@ fn outage() {
 #[expect(non_snake_case, reason = "the names of the reference files")]
 struct Power {
     v_mps: f64,
+    /// In some cases the paper speed that is `v_mps`, units per interval.
+    v_units: Option<f64>,
     P: f64,
 }
 
@@ -130,10 +128,13 @@ struct Power {
 fn propulsion() {
     let table: Table<Power> = read("propulsion").unwrap();
     assert!(table.cases.len() >= 20, "{} cases", table.cases.len());
-    let propulsion = table.params.scenario().propulsion;
+    let s = table.params.scenario();
     for case in &table.cases {
-        let watts = energy::propulsion_power(case.v_mps, &propulsion);
+        let watts = energy::propulsion_power(case.v_mps, &s.propulsion);
         assert_close(watts, case.P, table.tol, &format!("P({})", case.v_mps));
+        if let Some(speed) = case.v_units {
+            assert_close(speed * s.scale.mps_per_speed(), case.v_mps, table.tol, "m/s in the paper's speed");
+        }
     }
 }
 

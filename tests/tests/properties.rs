@@ -57,8 +57,14 @@ fn scenario() -> impl Strategy<Value = Scenario> {
         let mut s = Scenario { name: "any".into(), horizon, ..Scenario::default() };
         (s.start, s.goal, s.obstacle.position, s.uav_radius, s.obstacle.radius) = geometry;
         let sigma_c;
-        (s.obstacle.velocity, s.obstacle.margin, s.dynamics.v_max, s.dynamics.a_max, s.dynamics.walls, sigma_c) =
-            motion;
+        (
+            s.obstacle.velocity,
+            s.obstacle.margin,
+            s.dynamics.v_max,
+            s.dynamics.a_max,
+            s.dynamics.walls,
+            sigma_c,
+        ) = motion;
         s.disturbance.sigma_c = sigma_c;
         (
             s.radio.rule,
@@ -94,6 +100,9 @@ fn total(fates: Fates) -> u64 {
 }
 
 proptest! {
+    // A failure prints its smallest case; that case then becomes a test of its own.
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     #[test]
     fn no_command_and_no_gust_breaks_the_speed_limit_or_the_box(
         mut scenario in scenario(), seed in any::<u64>(), commands in commands(),
