@@ -334,6 +334,7 @@ impl Scenario {
     pub fn check(&self) -> Result<(), ScenarioError> {
         let positive = "must be finite and above 0";
         let unit = "must lie in [0, 1]";
+        let size = "must be above 0 and at most the width of the frame, 1 unit or 100 px";
         let finite = "must be finite and at least 0";
         for (key, value) in [
             ("scale.metres_per_unit", self.scale.metres_per_unit),
@@ -341,8 +342,6 @@ impl Scenario {
             ("dynamics.v_max", self.dynamics.v_max),
             ("dynamics.a_max", self.dynamics.a_max),
             ("goal_radius", self.goal_radius),
-            ("uav_radius", self.uav_radius),
-            ("obstacle.radius", self.obstacle.radius),
             ("channel.noise_power", self.channel.noise_power),
             ("channel.blockage_softness", self.channel.blockage_softness),
             ("channel.distance_floor", self.channel.distance_floor),
@@ -351,9 +350,19 @@ impl Scenario {
             ("radio.b_dt", self.radio.b_dt),
             ("radio.packet_bits", self.radio.packet_bits),
             ("safety.softness", self.safety.softness),
-            ("camera.edge_px", self.camera.edge_px),
+            ("propulsion.blade_profile_power", self.propulsion.blade_profile_power),
+            ("propulsion.induced_power", self.propulsion.induced_power),
+            ("propulsion.tip_speed", self.propulsion.tip_speed),
+            ("propulsion.hover_induced_velocity", self.propulsion.hover_induced_velocity),
         ] {
             check(key, value, value > 0.0 && value.is_finite(), positive)?;
+        }
+        for (key, value, most) in [
+            ("uav_radius", self.uav_radius, 1.0),
+            ("obstacle.radius", self.obstacle.radius, 1.0),
+            ("camera.edge_px", self.camera.edge_px, 100.0),
+        ] {
+            check(key, value, value > 0.0 && value <= most, size)?;
         }
         for (key, value) in [
             ("start[0]", self.start.x),
@@ -374,6 +383,12 @@ impl Scenario {
             ("disturbance.sigma_c", self.disturbance.sigma_c),
             ("disturbance.noise_gain", self.disturbance.noise_gain),
             ("safety.d_min", self.safety.d_min),
+            ("channel.path_loss_exponent", self.channel.path_loss_exponent),
+            ("propulsion.fuselage_drag_ratio", self.propulsion.fuselage_drag_ratio),
+            ("propulsion.air_density", self.propulsion.air_density),
+            ("propulsion.rotor_solidity", self.propulsion.rotor_solidity),
+            ("propulsion.rotor_area", self.propulsion.rotor_area),
+            ("scale.altitude_m", self.scale.altitude_m),
         ] {
             check(key, value, value >= 0.0 && value.is_finite(), finite)?;
         }
