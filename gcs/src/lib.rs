@@ -1,1 +1,4 @@
-//! Stub while the dependencies compile.
+//! A ground station that flies a UAV from pictures.
+
+pub mod fly;
+pub mod remote;
