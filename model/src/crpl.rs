@@ -162,20 +162,16 @@ impl Head {
 
 #[inline(always)]
 fn tanh_all(h: &mut [Lane]) {
-    for lane in h {
-        for v in lane {
-            *v = kernel::tanh(*v);
-        }
+    for v in h.as_flattened_mut() {
+        *v = kernel::tanh(*v);
     }
 }
 
 /// d ← d (1 - h²), the slope of tanh at output h.
 #[inline(always)]
 fn times_tanh_slope(d: &mut [Lane], h: &[Lane]) {
-    for (d, h) in d.iter_mut().zip(h) {
-        for (d, h) in d.iter_mut().zip(h) {
-            *d *= 1.0 - h * h;
-        }
+    for (d, h) in d.as_flattened_mut().iter_mut().zip(h.as_flattened()) {
+        *d *= 1.0 - h * h;
     }
 }
 
@@ -353,7 +349,8 @@ pub fn gradient(
     motion: &Mlp,
     draws: &[Draws],
 ) -> (Estimate, Mlp) {
-    let traces: Vec<Trace> = draws.par_iter().map(|d| forward(plant, objective, setting, motion, d)).collect();
+    let traces: Vec<Trace> =
+        draws.par_iter().map(|d| forward(plant, objective, setting, motion, d)).collect();
     let mut scores = Scores::default();
     for t in &traces {
         scores.cost.extend(t.cost.iter().map(|&v| f64::from(v)));

@@ -3,6 +3,8 @@
 //!
 //! Rollouts run [`LANES`] at a time: a [`Lane`] holds one quantity of that many rollouts.
 
+use pulp::{Arch, Simd, WithSimd};
+
 /// Rollouts that move together through one call.
 pub const LANES: usize = 32;
 
@@ -70,88 +72,112 @@ pub fn sigmoid(x: f32) -> f32 {
 }
 
 /// y = x W + b for all lanes: `w` row-major [inputs][outputs], `x` [inputs], `y` [outputs].
-#[inline(always)]
 pub fn affine(w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane]) {
-    const TILE: usize = 4;
-    let outputs = y.len();
-    let mut j = 0;
-    while j + TILE <= outputs {
-        let mut acc = [ZERO; TILE];
-        for (t, lane) in acc.iter_mut().enumerate() {
-            *lane = [b[j + t]; LANES];
+    Arch::new().dispatch(Affine { w, b, x, y });
+}
+
+struct Affine<'a> {
+    w: &'a [f32],
+    b: &'a [f32],
+    x: &'a [Lane],
+    y: &'a mut [Lane],
+}
+
+impl WithSimd for Affine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { w, b, x, y } = self;
+        let whole = y.len() / 8 * 8;
+        for j in (0..whole).step_by(8) {
+            affine_tile::<S, 8>(simd, w, b, x, y, j);
         }
-        for (xi, row) in x.iter().zip(w.chunks_exact(outputs)) {
-            let row = &row[j..j + TILE];
-            for (lane, &weight) in acc.iter_mut().zip(row) {
-                for (a, v) in lane.iter_mut().zip(xi) {
-                    *a = weight.mul_add(*v, *a);
-                }
-            }
+        for j in whole..y.len() {
+            affine_tile::<S, 1>(simd, w, b, x, y, j);
         }
-        y[j..j + TILE].copy_from_slice(&acc);
-        j += TILE;
-    }
-    while j < outputs {
-        let mut acc = [b[j]; LANES];
-        for (xi, row) in x.iter().zip(w.chunks_exact(outputs)) {
-            let weight = row[j];
-            for (a, v) in acc.iter_mut().zip(xi) {
-                *a = weight.mul_add(*v, *a);
-            }
-        }
-        y[j] = acc;
-        j += 1;
     }
 }
 
-/// dW += Σ_k Σ_lanes x_k ⊗ dy_k, for `steps` consecutive blocks of `inputs` resp. `outputs` lanes.
+/// Outputs j..j+N of [`affine`], their sums kept in registers.
 #[inline(always)]
-pub fn outer(x: &[Lane], inputs: usize, dy: &[Lane], outputs: usize, dw: &mut [f32]) {
-    const TILE: usize = 4;
-    const HALF: usize = 16;
-    let mut i = 0;
-    while i < inputs {
-        let ti = TILE.min(inputs - i);
-        let mut j = 0;
-        while j < outputs {
-            let tj = TILE.min(outputs - j);
-            let mut acc = [[[0.0f32; HALF]; TILE]; TILE];
-            if ti == TILE && tj == TILE {
-                for (xk, dk) in x.chunks_exact(inputs).zip(dy.chunks_exact(outputs)) {
-                    let (xs, ds) = (&xk[i..i + TILE], &dk[j..j + TILE]);
-                    for h in 0..LANES / HALF {
-                        for (row, xl) in acc.iter_mut().zip(xs) {
-                            let xl = &xl[h * HALF..(h + 1) * HALF];
-                            for (cell, dl) in row.iter_mut().zip(ds) {
-                                let dl = &dl[h * HALF..(h + 1) * HALF];
-                                for ((a, u), v) in cell.iter_mut().zip(xl).zip(dl) {
-                                    *a = u.mul_add(*v, *a);
-                                }
-                            }
-                        }
-                    }
-                }
-            } else {
-                for (xk, dk) in x.chunks_exact(inputs).zip(dy.chunks_exact(outputs)) {
-                    for (row, xl) in acc.iter_mut().zip(&xk[i..i + ti]) {
-                        for (cell, dl) in row.iter_mut().zip(&dk[j..j + tj]) {
-                            for h in 0..LANES / HALF {
-                                for l in 0..HALF {
-                                    cell[l] = xl[h * HALF + l].mul_add(dl[h * HALF + l], cell[l]);
-                                }
-                            }
-                        }
-                    }
-                }
-            }
-            for (u, row) in acc.iter().enumerate().take(ti) {
-                for (v, cell) in row.iter().enumerate().take(tj) {
-                    dw[(i + u) * outputs + j + v] += cell.iter().sum::<f32>();
-                }
-            }
-            j += TILE;
+fn affine_tile<S: Simd, const N: usize>(simd: S, w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane], j: usize) {
+    let outputs = y.len();
+    for v in 0..LANES / S::F32_LANES {
+        let mut acc = [simd.splat_f32s(0.0); N];
+        for (a, bias) in acc.iter_mut().zip(&b[j..j + N]) {
+            *a = simd.splat_f32s(*bias);
         }
-        i += TILE;
+        for (xi, row) in x.iter().zip(w.chunks_exact(outputs)) {
+            let xi = S::as_simd_f32s(xi).0[v];
+            for (a, weight) in acc.iter_mut().zip(&row[j..j + N]) {
+                *a = simd.mul_add_f32s(simd.splat_f32s(*weight), xi, *a);
+            }
+        }
+        for (lane, a) in y[j..j + N].iter_mut().zip(acc) {
+            S::as_mut_simd_f32s(lane).0[v] = a;
+        }
+    }
+}
+
+/// dW += Σ_k Σ_lanes x_k ⊗ dy_k, over consecutive blocks of `inputs` resp. `outputs` lanes.
+pub fn outer(x: &[Lane], inputs: usize, dy: &[Lane], outputs: usize, dw: &mut [f32]) {
+    Arch::new().dispatch(Outer { x, inputs, dy, outputs, dw });
+}
+
+struct Outer<'a> {
+    x: &'a [Lane],
+    inputs: usize,
+    dy: &'a [Lane],
+    outputs: usize,
+    dw: &'a mut [f32],
+}
+
+/// Sides of the squares in which [`outer`] sums.
+const SQUARE: usize = 4;
+
+/// Partial sums of a lane: fixed, so that every vector width adds in the same order.
+const PARTIAL: usize = 16;
+
+impl WithSimd for Outer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { x, inputs, dy, outputs, dw } = self;
+        for i in (0..inputs).step_by(SQUARE) {
+            for j in (0..outputs).step_by(SQUARE) {
+                // Past the end a square repeats the last row or column; what it sums there is not kept.
+                let rows: [usize; SQUARE] = std::array::from_fn(|t| (i + t).min(inputs - 1));
+                let columns: [usize; SQUARE] = std::array::from_fn(|t| (j + t).min(outputs - 1));
+                let mut sums = [[[0.0f32; PARTIAL]; SQUARE]; SQUARE];
+                for v in 0..PARTIAL / S::F32_LANES.min(PARTIAL) {
+                    let mut acc = [[simd.splat_f32s(0.0); SQUARE]; SQUARE];
+                    for (xk, dk) in x.chunks_exact(inputs).zip(dy.chunks_exact(outputs)) {
+                        for half in 0..LANES / PARTIAL {
+                            let at = half * (PARTIAL / S::F32_LANES) + v;
+                            for (cells, row) in acc.iter_mut().zip(rows) {
+                                let xv = S::as_simd_f32s(&xk[row]).0[at];
+                                for (cell, column) in cells.iter_mut().zip(columns) {
+                                    let dv = S::as_simd_f32s(&dk[column]).0[at];
+                                    *cell = simd.mul_add_f32s(xv, dv, *cell);
+                                }
+                            }
+                        }
+                    }
+                    for (sums, cells) in sums.iter_mut().zip(acc) {
+                        for (sum, cell) in sums.iter_mut().zip(cells) {
+                            S::as_mut_simd_f32s(sum).0[v] = cell;
+                        }
+                    }
+                }
+                for (u, cells) in sums.iter().enumerate().take(inputs - i) {
+                    for (v, cell) in cells.iter().enumerate().take(outputs - j) {
+                        dw[(i + u) * outputs + j + v] += cell.iter().sum::<f32>();
+                    }
+                }
+            }
+        }
     }
 }
 

@@ -29,11 +29,7 @@ fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
     let mut collision = net(&[4, 64, 64, 1], 3.0, rng);
     collision.layers[2].b[0] = -3.0;
     Plant {
-        psi_c: [
-            [[2.0, 0.01], [0.0, 1.98]],
-            [[-1.0, 0.0], [-0.01, -0.99]],
-            [[0.035, 0.001], [-0.001, 0.035]],
-        ],
+        psi_c: [[[2.0, 0.01], [0.0, 1.98]], [[-1.0, 0.0], [-0.01, -0.99]], [[0.035, 0.001], [-0.001, 0.035]]],
         psi_u: [[[2.0, 0.0], [0.0, 2.0]], [[-1.0, 0.0], [0.0, -1.0]]],
         scale: 10.0,
         v_max: 0.04,
@@ -136,11 +132,15 @@ fn timing_tmp() {
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
     for _ in 0..3 {
-    let t = std::time::Instant::now();
-    for _ in 0..20 { let _ = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws); }
-    eprintln!("eval {:?}", t.elapsed() / 20);
-    let t = std::time::Instant::now();
-    for _ in 0..20 { let _ = crpl::gradient(&plant, &Objective::default(), setting, &motion, &draws); }
-    eprintln!("grad {:?}", t.elapsed() / 20);
+        let t = std::time::Instant::now();
+        for _ in 0..20 {
+            let _ = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+        }
+        eprintln!("eval {:?}", t.elapsed() / 20);
+        let t = std::time::Instant::now();
+        for _ in 0..20 {
+            let _ = crpl::gradient(&plant, &Objective::default(), setting, &motion, &draws);
+        }
+        eprintln!("grad {:?}", t.elapsed() / 20);
     }
 }
