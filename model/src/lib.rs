@@ -1,8 +1,45 @@
 //! What is learned of the world: the JEPA encoder and predictors, the risk and channel heads, and
 //! CRPL's two policies.
+//!
+//! ```text
+//! picture --> infer::Encoder --> Latent {z_c, z_u} --> predictor (rollouts) --> heads (risk, gain)
+//!                  ^ weights
+//! dataset --> jepa (burn) --> closed_form --> checkpoint          train.rs reads top to bottom
+//! ```
+//!
+//! | module | what it is | what it does not know |
+//! |---|---|---|
+//! | [`world_model`] | the learned world as one value | physics, link, policies |
+//! | [`infer`] | the flight path's encoder, plain Rust | burn |
+//! | [`jepa`] | the same encoder as a burn module, online and target | losses, data |
+//! | [`weights`] | the encoder's numbers and its structured start | pictures |
+//! | [`closed_form`] | the latent heads by least squares | labels |
+//! | [`predictor`] | linear second-order steps of both halves | pictures, positions |
+//! | [`heads`] | collision probability and channel gain | the encoder's training |
+//! | [`probe`] | latents to positions, to measure and to draw | training |
+//! | [`dataset`] | episodes from the simulator's world | networks |
+//! | [`train`] | the recipe | flights |
+//! | [`evaluate`] | what it is worth on held-out pictures | training |
+//! | [`policy`] | π_s and π_p, and how they are executed | positions, bandwidth |
+//! | [`crpl`] | J_η on latent rollouts, and its gradient | pictures |
+//! | [`optimise`] | Algorithm 1 | the simulator |
+//! | [`checkpoint`] | files, names and shapes | numbers |
+//! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 
+pub mod checkpoint;
+pub mod closed_form;
 pub mod crpl;
+pub mod dataset;
+pub mod evaluate;
+pub mod heads;
+pub mod infer;
+pub mod jepa;
 pub mod kernel;
 pub mod mlp;
 pub mod optimise;
 pub mod policy;
+pub mod predictor;
+pub mod probe;
+pub mod train;
+pub mod weights;
+pub mod world_model;

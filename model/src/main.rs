@@ -1,2 +1,129 @@
-//! The world model and its policies.
-fn main() {}
+//! `model collect | train | optimise`: makes the data, the world model and the policies.
+
+mod optimise_cli;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use model::jepa::Backend;
+use model::train::{self, Run, TrainConfig};
+use sitl::Scenario;
+
+/// The world model of CRPL: its data, its training.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Fly random actions and write the episodes.
+    Collect(Collect),
+    /// Train the world model and write its checkpoint.
+    Train(Train),
+    /// Optimise CRPL's two policies in latent space (Algorithm 1).
+    Optimise(optimise_cli::Optimise),
+}
+
+#[derive(Debug, clap::Args)]
+struct Collect {
+    /// What differs from the defaults (TOML).
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Seed; overrides the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Folder for episodes.safetensors and config.toml.
+    #[arg(long)]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Train {
+    /// What differs from the defaults (TOML).
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Seed; overrides the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// burn's backend.
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
+    /// Folder of `model collect`; without it the data are made anew.
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Folder for the checkpoint.
+    #[arg(long, default_value = "runs/model")]
+    out: PathBuf,
+    /// Go on with a run that was stopped.
+    #[arg(long)]
+    resume: bool,
+    /// Print the results as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn main() -> anyhow::Result<()> {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
+        )
+        .with_writer(std::io::stderr)
+        .init();
+    match Args::parse().command {
+        Command::Collect(args) => collect(&args),
+        Command::Train(args) => run(&args),
+        Command::Optimise(args) => optimise_cli::run(&args),
+    }
+}
+
+fn collect(args: &Collect) -> anyhow::Result<()> {
+    let config = resolve(args.config.as_ref(), args.seed)?;
+    let episodes = train::collect(&config, &Scenario::default());
+    model::dataset::save(&episodes, &args.out)?;
+    let path = args.out.join("config.toml");
+    std::fs::write(&path, toml::to_string(&config)?)
+        .with_context(|| format!("writing {}", path.display()))?;
+    println!("{} episodes of {} actions in {}", episodes.len(), config.data.steps, args.out.display());
+    Ok(())
+}
+
+fn run(args: &Train) -> anyhow::Result<()> {
+    let config = resolve(args.config.as_ref(), args.seed)?;
+    let run =
+        Run { backend: args.backend, out: args.out.clone(), data: args.data.clone(), resume: args.resume };
+    let (started, cpu) = (Instant::now(), train::cpu_seconds());
+    let model = train::train(&config, &run)?;
+    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), train::cpu_seconds() - cpu);
+    if args.json {
+        let out = serde_json::json!({
+            "out": args.out,
+            "seed": config.seed,
+            "backend": args.backend,
+            "metrics": model.card.metrics,
+            "wall_s": wall_s,
+            "cpu_s": cpu_s,
+        });
+        println!("{out:#}");
+    } else {
+        print!("{}", model.card.metrics.table());
+        println!("{:<42} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
+        println!("checkpoint in {}", args.out.display());
+    }
+    Ok(())
+}
+
+fn resolve(path: Option<&PathBuf>, seed: Option<u64>) -> anyhow::Result<TrainConfig> {
+    let mut config = match path {
+        Some(path) => TrainConfig::load(path)?,
+        None => TrainConfig::default(),
+    };
+    if let Some(seed) = seed {
+        config.seed = seed;
+    }
+    Ok(config)
+}

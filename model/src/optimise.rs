@@ -15,10 +15,11 @@ use sitl::camera;
 use sitl::world::dynamics::limit_speed;
 use sitl::world::noise::{Noise, Stream};
 
-use crate::crpl::{self, Draws, Estimate, Execution, Limits, Objective, Plant, Scores, Setting};
+use crate::crpl::{self, Draws, Estimate, Execution, Head, Limits, Objective, Plant, Scores, Setting};
 use crate::kernel::{LANES, Lane, ZERO};
 use crate::mlp::Mlp;
 use crate::policy::{FEATURES, Policies};
+use crate::world_model::WorldModel;
 
 /// Every number of Algorithm 1. `Default` as argued in docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -172,6 +173,21 @@ pub struct Stage {
 }
 
 impl Stage {
+    /// The scenario as `world` sees it.
+    pub fn of(
+        world: &WorldModel,
+        scenario: &Scenario,
+        config: &OptimiseConfig,
+        seed: u64,
+    ) -> Result<Self, OptimiseError> {
+        let plant = plant(world, scenario, config)?;
+        let encode = |frame: &camera::Frame| {
+            let latent = world.encode(frame);
+            (world.y_c(&latent), world.y_u(&latent))
+        };
+        Ok(Self::new(plant, &encode, scenario, config, seed))
+    }
+
     /// Renders and encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
     /// replaced by the encoded ones.
     #[must_use]
@@ -259,6 +275,45 @@ impl Stage {
     }
 }
 
+/// The learned world in plane coordinates, scales and noise power folded into the heads.
+fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
+    let psi = world.reduced();
+    let rows = |m: &nalgebra::Matrix2<f64>| {
+        [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
+    };
+    let heads = &world.heads;
+    // Input scales into the first layer's rows, output scale and offset into the last layer.
+    let fold = |net: &Mlp, factor: f32, offset: f32| {
+        let mut net = net.clone();
+        if let Some(first) = net.layers.first_mut() {
+            let outputs = first.outputs;
+            for (i, row) in first.w.chunks_exact_mut(outputs).enumerate() {
+                let scale = if i < 2 { heads.scale_c } else { heads.scale_u };
+                row.iter_mut().for_each(|w| *w *= scale);
+            }
+        }
+        if let Some(last) = net.layers.last_mut() {
+            last.w.iter_mut().for_each(|w| *w *= factor);
+            last.b.iter_mut().for_each(|b| *b = *b * factor + offset);
+        }
+        net
+    };
+    let received = heads.gain_mean - (scenario.channel.noise_power as f32).ln();
+    let collision = fold(&heads.collision, 1.0, 0.0);
+    let gain = fold(&heads.gain, heads.gain_std, received);
+    Ok(Plant {
+        psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
+        psi_u: [rows(&psi.u0), rows(&psi.u1)],
+        scale: world.scale as f32,
+        v_max: scenario.dynamics.v_max as f32,
+        corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
+        limits: config.limits,
+        goal: [0.0; 2],
+        collision: Head::new(collision).ok_or(OptimiseError::Head("collision"))?,
+        gain: Head::new(gain).ok_or(OptimiseError::Head("gain"))?,
+    })
+}
+
 /// Adam (0.9, 0.999, 1e-8) over one network.
 struct Adam {
     rate: f32,
@@ -342,6 +397,14 @@ pub struct Progress {
     comparison: Option<Comparison>,
 }
 
+impl Progress {
+    /// Iterations that lie behind.
+    #[must_use]
+    pub fn iterations(&self, config: &OptimiseConfig) -> usize {
+        lengths(config).take(self.phase).sum()
+    }
+}
+
 /// The two candidates on common random rollouts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
@@ -385,9 +448,16 @@ pub trait Watch {
 /// Number of iterations of both stages, for a progress bar.
 #[must_use]
 pub fn total_iterations(config: &OptimiseConfig) -> usize {
+    lengths(config).sum::<usize>() + config.stage2_iterations
+}
+
+/// Iterations of each phase of stage 1, in order.
+fn lengths(config: &OptimiseConfig) -> impl Iterator<Item = usize> + use<> {
     let [free, each, candidate] = config.warm_iterations;
-    let barrier = etas(config).count() * config.stage1_iterations;
-    free + 2 * (config.displacements.len() * each + candidate) + barrier + config.stage2_iterations
+    let mut side = vec![each; config.displacements.len()];
+    side.push(candidate);
+    let barrier = vec![config.stage1_iterations; etas(config).count()];
+    [vec![free], side.clone(), side, barrier].into_iter().flatten()
 }
 
 fn etas(config: &OptimiseConfig) -> impl Iterator<Item = f64> + use<> {

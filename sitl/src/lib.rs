@@ -29,6 +29,7 @@ pub mod link;
 pub mod msg;
 pub mod radio;
 pub mod record;
+mod revision;
 pub mod scenario;
 pub mod shell;
 pub mod sim;
@@ -36,5 +37,6 @@ pub mod units;
 pub mod vehicle;
 pub mod world;
 
+pub use revision::revision;
 pub use scenario::Scenario;
 pub use sim::Sim;

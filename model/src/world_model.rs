@@ -1,0 +1,153 @@
+//! The learned world model as one value: encoder, predictors, risk and channel heads, probe.
+//!
+//! What the ground station and Algorithm 1 hold. Knows how to read a picture and to look ahead;
+//! knows no physics, no link and no policy.
+
+use std::path::Path;
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+use sitl::camera::Frame;
+
+use crate::checkpoint::{self, CheckpointError};
+use crate::infer::Encoder;
+pub use crate::infer::Latent;
+use crate::mlp::Mlp;
+use crate::predictor::{Linear, Plane, Reduced};
+pub use crate::probe::{Affine, Probe};
+use crate::train::{Metrics, TrainConfig};
+use crate::weights::{LATENT, on_plane, vector};
+
+/// Everything that was learned of the world.
+#[derive(Debug, Clone)]
+pub struct WorldModel {
+    /// Picture to latents.
+    pub encoder: Encoder,
+    /// E_c [16][2], orthonormal columns: z_c = E_c y_c.
+    pub plane_c: [[f32; 2]; LATENT],
+    /// E_u [16][2], orthonormal columns: z_u = E_u y_u.
+    pub plane_u: [[f32; 2]; LATENT],
+    /// S, latent units of z_c per unit of length.
+    pub scale: f64,
+    /// Ψ of both halves.
+    pub predictor: Linear,
+    /// Collision risk and channel gain.
+    pub heads: Heads,
+    /// Plane coordinates to positions, for metrics, plots and walls.
+    pub probe: Probe,
+    /// Where it comes from and what was measured.
+    pub card: Card,
+}
+
+/// Networks on the plane coordinates: x = [y_c · scale_c, y_u · scale_u] (4 numbers). The base
+/// station's state s_BS never changes, so it is no input.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Heads {
+    /// x to the logit of the collision probability.
+    pub collision: Mlp,
+    /// x to (ln |h|² - gain_mean) / gain_std.
+    pub gain: Mlp,
+    /// Mean of ln |h|² in the training data.
+    pub gain_mean: f32,
+    /// Standard deviation of ln |h|² in the training data.
+    pub gain_std: f32,
+    /// Factor on y_c, the same for both coordinates.
+    pub scale_c: f32,
+    /// Factor on y_u, the same for both coordinates.
+    pub scale_u: f32,
+}
+
+impl Heads {
+    /// x, the networks' input.
+    #[must_use]
+    pub fn input(&self, y_c: [f32; 2], y_u: [f32; 2]) -> [f32; 4] {
+        let (c, u) = (self.scale_c, self.scale_u);
+        [c * y_c[0], c * y_c[1], u * y_u[0], u * y_u[1]]
+    }
+
+    /// Collision probability in (0, 1).
+    #[must_use]
+    pub fn collision(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {
+        let logit = self.collision.forward(&self.input(y_c, y_u))[0];
+        1.0 / (1.0 + (-logit).exp())
+    }
+
+    /// ln |h|², natural logarithm of the channel's power gain.
+    #[must_use]
+    pub fn log_gain(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {
+        self.gain.forward(&self.input(y_c, y_u))[0].mul_add(self.gain_std, self.gain_mean)
+    }
+}
+
+/// What a checkpoint says of itself; equal for equal seeds (time and revision stand in card.md).
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Card {
+    /// `crpl-world-model/1`
+    pub format: String,
+    /// Backend that trained it: flex or ndarray.
+    pub backend: String,
+    /// Everything that decides its bytes.
+    pub config: TrainConfig,
+    /// Measured on held-out frames at the end of training.
+    pub metrics: Metrics,
+}
+
+impl WorldModel {
+    /// Reads `model.safetensors` and `config.json` in `dir`.
+    pub fn load(dir: &Path) -> Result<Self, CheckpointError> {
+        checkpoint::load(dir)
+    }
+
+    /// Writes `model.safetensors` and `config.json` into `dir`, which is made if it is not there.
+    pub fn save(&self, dir: &Path) -> Result<(), CheckpointError> {
+        checkpoint::save(self, dir)
+    }
+
+    /// The model that ships with the program, trained by `model train`.
+    pub fn embedded() -> Result<Self, CheckpointError> {
+        checkpoint::embedded()
+    }
+
+    /// z_c and z_u of one picture.
+    #[must_use]
+    pub fn encode(&self, frame: &Frame) -> Latent {
+        self.encoder.encode(frame)
+    }
+
+    /// y_c = E_c' z_c.
+    #[must_use]
+    pub fn y_c(&self, latent: &Latent) -> [f32; 2] {
+        on_plane(&self.plane_c, &latent.z_c)
+    }
+
+    /// y_u = E_u' z_u.
+    #[must_use]
+    pub fn y_u(&self, latent: &Latent) -> [f32; 2] {
+        on_plane(&self.plane_u, &latent.z_u)
+    }
+
+    /// The predictors in plane coordinates.
+    #[must_use]
+    pub fn reduced(&self) -> Reduced {
+        self.predictor.reduced(&plane(&self.plane_c), &plane(&self.plane_u))
+    }
+
+    /// Where the model sees the UAV, paper units (probe; for plots and metrics).
+    #[must_use]
+    pub fn uav(&self, latent: &Latent) -> Vector2<f64> {
+        self.probe.c.apply(vector(self.y_c(latent)))
+    }
+
+    /// Where the model sees the obstacle, paper units (probe; for plots and metrics).
+    #[must_use]
+    pub fn obstacle(&self, latent: &Latent) -> Vector2<f64> {
+        self.probe.u.apply(vector(self.y_u(latent)))
+    }
+}
+
+/// E in f64.
+#[must_use]
+pub fn plane(e: &[[f32; 2]; LATENT]) -> Plane {
+    Plane::from_fn(|k, axis| f64::from(e[k][axis]))
+}

@@ -1,0 +1,121 @@
+//! What the shipped world model promises, on pictures that training never saw.
+
+use model::dataset::{self, Start};
+use model::evaluate::{self, EvaluationConfig};
+use model::heads::{self, HeadsConfig, Scene};
+use model::jepa::{self, Backend};
+use model::world_model::WorldModel;
+use sitl::Scenario;
+use sitl::world::noise::{Noise, Stream};
+
+/// A seed that neither training nor its own evaluation used.
+fn fresh() -> Noise {
+    Noise::new(0x7465_7374)
+}
+
+fn shipped() -> WorldModel {
+    WorldModel::embedded().expect("the shipped checkpoint reads")
+}
+
+#[test]
+fn positions_are_read_to_a_fraction_of_a_pixel_and_not_from_the_wrong_half() {
+    let probe = evaluate::decode(&shipped(), 6000, &Scenario::default(), &fresh());
+    assert!(probe.c_middle_p90_px <= 0.15, "{probe:?}");
+    assert!(probe.u_p90_px <= 0.3, "{probe:?}");
+    assert!(probe.leak_c_to_u < 0.05 && probe.leak_u_to_c < 0.05, "{probe:?}");
+}
+
+#[test]
+fn a_disc_that_the_frame_cuts_is_seen_where_it_is() {
+    let (model, scenario) = (shipped(), Scenario::default());
+    let probe = evaluate::decode(&model, 6000, &scenario, &fresh());
+    assert!(probe.c_edge_p90_px <= 1.5 && probe.c_edge_max_px <= 3.0, "{probe:?}");
+    // The trap itself: a UAV past the goal must never be seen short of it.
+    for step in 0..=10 {
+        let x = 0.90 + 0.01 * f64::from(step);
+        let scene = Scene { uav: [x, 0.5].into(), obstacle: scenario.obstacle.position };
+        let seen = model.uav(&model.encode(&scene.frame(&scenario)));
+        assert!((seen.x - x).abs() < 0.01, "at {x} seen at {}", seen.x);
+    }
+}
+
+#[test]
+fn actions_matter_ten_times_over() {
+    let (model, scenario) = (shipped(), Scenario::default());
+    let config = EvaluationConfig { frames: 1500, rollouts: 200, horizon: 100 };
+    let metrics = evaluate::measure(
+        &model,
+        &config,
+        &HeadsConfig::default(),
+        &scenario,
+        &fresh(),
+        model.card.metrics.label_free,
+    );
+    let r = metrics.rollout;
+    assert!(r.true_p90_px * 10.0 < r.shuffled_p90_px && r.true_p90_px * 10.0 < r.zero_p90_px, "{r:?}");
+    assert!(r.end_within_1_px > 0.93, "{r:?}");
+    assert!(metrics.heads.collision_auc > 0.99 && metrics.heads.collision_ece <= 0.01, "{:?}", metrics.heads);
+    assert!(metrics.heads.gain_rms_db <= 0.5, "{:?}", metrics.heads);
+}
+
+#[test]
+fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
+    let (model, scenario) = (shipped(), Scenario::default());
+    let episode = &dataset::collect(1, 20, Start::Mixed, &scenario, &fresh(), 0)[0];
+    let [before, now] = [0, 1].map(|k| model.encode(&episode.frame(k, &scenario)));
+    let wide = |z: &[f32; 16]| model::predictor::Half::from_fn(|k, _| f64::from(z[k]));
+    let full = model.predictor.step_c(&wide(&now.z_c), &wide(&before.z_c), episode.actions[0]);
+    let reduced = model.reduced().step_c(
+        model::weights::vector(model.y_c(&now)),
+        model::weights::vector(model.y_c(&before)),
+        episode.actions[0],
+    );
+    let plane = model::world_model::plane(&model.plane_c);
+    assert!((plane.transpose() * full - reduced).norm() < 1e-4, "{full} {reduced}");
+}
+
+#[test]
+fn burn_and_the_flight_path_see_the_same() {
+    let (model, scenario) = (shipped(), Scenario::default());
+    let scenes = heads::sample(24, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
+    let frames: Vec<_> = scenes.iter().map(|s| s.frame(&scenario)).collect();
+    let own: Vec<_> = frames.iter().map(|f| model.encode(f)).collect();
+    let backends =
+        if cfg!(feature = "ndarray") { vec![Backend::Flex, Backend::Ndarray] } else { vec![Backend::Flex] };
+    for backend in backends {
+        let device = backend.device().unwrap();
+        let weights = model.encoder.weights();
+        let encoder = jepa::Encoder::new(weights, &device);
+        let theirs = jepa::latents_of(&encoder, &weights.input, &device, &frames);
+        let size = own.iter().flat_map(|l| l.z_c).fold(0.0f32, |m, v| m.max(v.abs()));
+        for (a, b) in own.iter().zip(&theirs) {
+            let off = a.z_c.iter().chain(&a.z_u).zip(b.z_c.iter().chain(&b.z_u));
+            let off = off.map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max);
+            assert!(off <= 1e-4 * size, "{backend:?} is off by {off} of {size}");
+        }
+    }
+}
+
+#[test]
+fn a_checkpoint_of_the_wrong_shape_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = shipped();
+    model.save(dir.path()).unwrap();
+    assert_eq!(WorldModel::load(dir.path()).unwrap().card, model.card);
+
+    let path = dir.path().join("model.safetensors");
+    let mut bytes = std::fs::read(&path).unwrap();
+    // The header is JSON; turn one shape around without changing its length.
+    let (from, to) = (b"[256,3200]", b"[3200,256]");
+    let at = bytes.windows(from.len()).position(|w| w == from).expect("fc.weight has that shape");
+    bytes[at..at + to.len()].copy_from_slice(to);
+    std::fs::write(&path, &bytes).unwrap();
+    let error = WorldModel::load(dir.path()).unwrap_err().to_string();
+    assert!(error.ends_with("tensor `fc.weight` has shape [3200, 256], expected [256, 3200]"), "{error}");
+
+    std::fs::write(&path, b"not a checkpoint").unwrap();
+    let error = WorldModel::load(dir.path()).unwrap_err().to_string();
+    assert!(error.contains("model.safetensors: not a safetensors file"), "{error}");
+    let error = WorldModel::load(&dir.path().join("nowhere")).unwrap_err().to_string();
+    assert!(error.contains("nowhere/model.safetensors"), "{error}");
+}

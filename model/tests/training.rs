@@ -1,0 +1,105 @@
+//! What `model train` promises of a run, on a small one.
+
+use std::path::Path;
+
+use model::evaluate::EvaluationConfig;
+use model::heads::HeadsConfig;
+use model::jepa::Backend;
+use model::train::{DataConfig, PredictorConfig, Run, TrainConfig, TrainError, train};
+use model::world_model::WorldModel;
+
+fn small() -> TrainConfig {
+    TrainConfig {
+        seed: 4,
+        data: DataConfig { episodes: 60, edge_episodes: 20, steps: 100 },
+        frames: 1800,
+        predictor: PredictorConfig { episodes: 6, ..PredictorConfig::default() },
+        heads: HeadsConfig { frames: 300, steps: 40, batch: 32, ..HeadsConfig::default() },
+        evaluation: EvaluationConfig { frames: 300, rollouts: 30, horizon: 100 },
+        ..TrainConfig::default()
+    }
+}
+
+fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainError> {
+    train(&small(), &Run { backend, out: out.into(), data: None, resume })
+}
+
+fn bytes(out: &Path) -> (Vec<u8>, String) {
+    let tensors = std::fs::read(out.join("model.safetensors")).unwrap();
+    (tensors, std::fs::read_to_string(out.join("config.json")).unwrap())
+}
+
+#[test]
+fn equal_seeds_give_equal_bytes_on_one_core_and_on_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let (all, one) = (dir.path().join("all"), dir.path().join("one"));
+    run(&all, Backend::Flex, false).unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    pool.install(|| run(&one, Backend::Flex, false)).unwrap();
+    assert!(bytes(&all) == bytes(&one), "the checkpoints differ");
+    assert!(!all.join("stages").exists());
+}
+
+#[test]
+fn a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, broken) = (dir.path().join("whole"), dir.path().join("broken"));
+    run(&whole, Backend::Flex, false).unwrap();
+
+    // A folder where the checkpoint should go stops the run at its very end.
+    std::fs::create_dir_all(broken.join("model.safetensors/in the way")).unwrap();
+    let error = run(&broken, Backend::Flex, false).unwrap_err().to_string();
+    assert!(error.contains("model.safetensors"), "{error}");
+    std::fs::remove_dir_all(broken.join("model.safetensors")).unwrap();
+    // As if it had been stopped while the predictors were fitted.
+    std::fs::remove_dir_all(broken.join("stages/heads")).unwrap();
+    std::fs::rename(broken.join("stages/predictor"), broken.join("stages/predictor.part")).unwrap();
+    run(&broken, Backend::Flex, true).unwrap();
+    assert!(bytes(&whole) == bytes(&broken), "the checkpoints differ");
+}
+
+#[test]
+fn another_configuration_does_not_go_on_with_the_run() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(dir.path().join("model.safetensors/in the way")).unwrap();
+    run(dir.path(), Backend::Flex, false).unwrap_err();
+    let other = TrainConfig { seed: 5, ..small() };
+    let run = Run { backend: Backend::Flex, out: dir.path().into(), data: None, resume: true };
+    let error = train(&other, &run).unwrap_err().to_string();
+    assert!(error.contains("another configuration"), "{error}");
+}
+
+#[cfg(feature = "ndarray")]
+#[test]
+fn both_backends_fit_the_same_encoder() {
+    use nalgebra::Vector2;
+    use sitl::Scenario;
+
+    let dir = tempfile::tempdir().unwrap();
+    let flex = run(&dir.path().join("flex"), Backend::Flex, false).unwrap();
+    let ndarray = run(&dir.path().join("ndarray"), Backend::Ndarray, false).unwrap();
+    let scenario = Scenario::default();
+    for k in 0..20 {
+        let k = f64::from(k);
+        let uav = Vector2::new(0.5 + 0.5 * (k * 1.3).sin(), 0.5 + 0.5 * (k * 0.7).cos());
+        let obstacle = Vector2::new(0.5 + 0.3 * (k * 0.9).cos(), 0.5 + 0.3 * (k * 1.1).sin());
+        let frame = sitl::camera::render(uav, obstacle, &scenario);
+        let (a, b) = (flex.encode(&frame), ndarray.encode(&frame));
+        let size = a.z_c.iter().chain(&a.z_u).fold(0.0f32, |m, v| m.max(v.abs()));
+        let off = a.z_c.iter().chain(&a.z_u).zip(b.z_c.iter().chain(&b.z_u));
+        let off = off.map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max);
+        assert!(off <= 1e-4 * size, "off by {off} of {size}");
+    }
+}
+
+#[test]
+fn a_misspelt_key_and_a_senseless_value_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("train.toml");
+    std::fs::write(&path, "fraims = 3\n").unwrap();
+    let error = TrainConfig::load(&path).unwrap_err().to_string();
+    assert!(error.contains("train.toml") && error.contains("fraims"), "{error}");
+    std::fs::write(&path, "[encoder]\nscale = -1.0\n").unwrap();
+    let error = TrainConfig::load(&path).unwrap_err().to_string();
+    assert_eq!(error, "encoder.scale = -1: must be finite and above 0");
+}
