@@ -97,7 +97,7 @@ pub struct Dynamics {
     pub v_max: f64,
     /// a_max, units per interval².
     pub a_max: f64,
-    /// Whether [0,1]² has walls (our choice: yes).
+    /// Whether `[0, 1]²` has walls (our choice: yes).
     pub walls: bool,
 }
 

@@ -86,7 +86,7 @@ fn percepts(scenario: &Scenario, seed: u64, commands: &[Option<Command>], repeat
     let mut seen = vec![sim.percept()];
     for command in commands {
         for _ in 0..repeats {
-            command.into_iter().for_each(|c| sim.handle(*c));
+            command.iter().for_each(|c| sim.handle(*c));
             assert_eq!(seen.last(), Some(&sim.percept()), "asking or commanding moved the world");
         }
         sim.advance();
