@@ -165,13 +165,16 @@ pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noi
     }
 }
 
+/// y_c and y_u at the end of a rollout.
+type Ends = (Vector2<f64>, Vector2<f64>);
+
 /// Latent rollouts of the UAV from rest, and where both halves end.
 fn rollouts(
     model: &WorldModel,
     episodes: &[Episode],
     scenario: &Scenario,
     noise: &Noise,
-) -> (RolloutMetrics, Vec<(Vector2<f64>, Vector2<f64>)>) {
+) -> (RolloutMetrics, Vec<Ends>) {
     let psi = model.reduced();
     let starts = model.encoder.encode_all(episodes, |e| e.frame(1, scenario));
     let mut other: Vec<usize> = (0..episodes.len()).collect();

@@ -26,6 +26,8 @@
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 
+#![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
+
 pub mod checkpoint;
 pub mod closed_form;
 pub mod crpl;

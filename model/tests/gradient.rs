@@ -36,8 +36,8 @@ fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
         limits,
         goal: [4.0, 0.0],
-        collision: Head::new(collision).unwrap(),
-        gain: Head::new(net(&[4, 64, 64, 1], 1.0, rng)).unwrap(),
+        collision: Head::new(collision).expect("a head's widths"),
+        gain: Head::new(net(&[4, 64, 64, 1], 1.0, rng)).expect("a head's widths"),
     }
 }
 

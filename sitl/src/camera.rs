@@ -97,8 +97,10 @@ impl Disc {
             }
         }
         let area = std::f64::consts::PI * (radius_px * radius_px + edge_px * edge_px / 12.0);
+        // A disc so small that it falls between the pixel centres leaves nothing to scale.
+        let scale = if sum > 0.0 { area / sum } else { 0.0 };
         for c in &mut coverage {
-            *c = (*c * (area / sum)).min(1.0);
+            *c = (*c * scale).min(1.0);
         }
         Self { left, top, side, coverage }
     }
@@ -195,6 +197,14 @@ mod tests {
                 assert_eq!(cut.pixel(x, y)[0], whole.pixel(x - 50, y)[0], "column {x}, row {y}");
             }
         }
+    }
+
+    #[test]
+    fn a_disc_between_the_pixels_is_invisible() {
+        let mut scenario = Scenario { uav_radius: 1e-4, ..Scenario::default() };
+        scenario.camera.edge_px = 1e-3;
+        let frame = render(Vector2::new(0.5, 0.2), Vector2::new(0.8, 0.8), &scenario);
+        assert!(frame.rgb().chunks_exact(CHANNELS).all(|pixel| pixel[0] == 0));
     }
 
     #[test]
