@@ -165,10 +165,7 @@ fn slowest(m: DMatrix<f64>, root: &DMatrix<f64>) -> Result<(DMatrix<f64>, [f64; 
         values = std::array::from_fn(|b| 1.0 / eigen.eigenvalues[order[b]]);
     }
     let two = v.columns(0, 2).into_owned();
-    let w = root
-        .transpose()
-        .solve_upper_triangular(&two)
-        .ok_or(FitError::Singular("covariance of z_u"))?;
+    let w = root.transpose().solve_upper_triangular(&two).ok_or(FitError::Singular("covariance of z_u"))?;
     Ok((w, values))
 }
 
@@ -212,11 +209,7 @@ impl Expansion {
     fn rows(self, features: &[Features]) -> DMatrix<f64> {
         DMatrix::from_fn(features.len(), self.width(), |n, k| {
             let f = &features[n];
-            if k < FEATURES {
-                f64::from(f.h[k])
-            } else {
-                f64::from(f.missing[0] * f.h[k - FEATURES])
-            }
+            if k < FEATURES { f64::from(f.h[k]) } else { f64::from(f.missing[0] * f.h[k - FEATURES]) }
         })
     }
 
@@ -254,5 +247,4 @@ impl Expansion {
         }
         covariance / count.max(1) as f64
     }
-
 }

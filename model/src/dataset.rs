@@ -160,7 +160,13 @@ fn direction(rng: &mut impl Rng) -> Vector2<f64> {
 /// `count` triples with a lag that is log-uniform in `low..=high`; a quarter of them begin with the
 /// episode, where an edge episode has its cut disc.
 #[must_use]
-pub fn triples(episodes: &[Episode], count: usize, low: usize, high: usize, rng: &mut impl Rng) -> Vec<Triple> {
+pub fn triples(
+    episodes: &[Episode],
+    count: usize,
+    low: usize,
+    high: usize,
+    rng: &mut impl Rng,
+) -> Vec<Triple> {
     let (from, to) = ((low as f64 - 0.49).ln(), (high as f64 + 0.49).ln());
     (0..count)
         .map(|_| {
@@ -198,7 +204,8 @@ fn velocities(episode: &Episode) -> Vec<Vector2<f64>> {
 /// Reads what [`save`] wrote; `steps` must be the episodes' length.
 pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, CheckpointError> {
     let path = dir.join(EPISODES);
-    let bytes = std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
+    let bytes =
+        std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
     let from = Reader::new(&bytes, path)?;
     let count = from.shape("uav")?.first().copied().unwrap_or(0);
     let states = [count, steps + 2, 2];

@@ -270,10 +270,7 @@ impl Metrics {
             ("gain rms / p90, pictures", format!("{:.3} / {:.3} dB", h.gain_rms_db, h.gain_p90_db)),
             ("gain rms / p90, after rollout", format!("{:.3} / {:.3} dB", e.gain_rms_db, e.gain_p90_db)),
             ("label-free: residual of z_c", format!("{:.3} px", check.residual_c_px)),
-            (
-                "label-free: eigenvalues of z_u",
-                check.eigenvalues.map(|v| format!("{v:.1e}")).join(" "),
-            ),
+            ("label-free: eigenvalues of z_u", check.eigenvalues.map(|v| format!("{v:.1e}")).join(" ")),
         ];
         rows.iter().map(|(name, value)| format!("{name:<42} {value}\n")).collect()
     }

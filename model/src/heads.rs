@@ -41,7 +41,7 @@ pub struct HeadsConfig {
 
 impl Default for HeadsConfig {
     fn default() -> Self {
-        Self { frames: 24_000, steps: 6000, batch: 512, learning_rate: 1e-2, distance_floor: 0.02 }
+        Self { frames: 24_000, steps: 6000, batch: 512, learning_rate: 2e-2, distance_floor: 0.02 }
     }
 }
 
@@ -224,7 +224,8 @@ fn fit(
 /// PyTorch's default start, U(±1/sqrt(inputs)), from our own stream.
 fn linear(inputs: usize, outputs: usize, device: &Device, rng: &mut impl Rng) -> Linear {
     let bound = 1.0 / (inputs as f32).sqrt();
-    let mut draw = |count: usize| -> Vec<f32> { (0..count).map(|_| rng.random_range(-bound..bound)).collect() };
+    let mut draw =
+        |count: usize| -> Vec<f32> { (0..count).map(|_| rng.random_range(-bound..bound)).collect() };
     let (w, b) = (draw(inputs * outputs), draw(outputs));
     let mut linear = LinearConfig::new(inputs, outputs).with_initializer(Initializer::Zeros).init(device);
     linear.weight = burn::module::Param::from_data(TensorData::new(w, [inputs, outputs]), device);

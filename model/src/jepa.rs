@@ -267,7 +267,11 @@ fn layer_of_conv(conv: &Conv2d) -> Layer {
 fn layer_of_linear(linear: &Linear) -> Layer {
     let [inputs, outputs] = linear.weight.dims();
     let bias = linear.bias.as_ref().map_or_else(Vec::new, |b| values(b.val()));
-    Layer { shape: vec![outputs, inputs], w: transposed(&values(linear.weight.val()), inputs, outputs), b: bias }
+    Layer {
+        shape: vec![outputs, inputs],
+        w: transposed(&values(linear.weight.val()), inputs, outputs),
+        b: bias,
+    }
 }
 
 fn transposed(w: &[f32], rows: usize, columns: usize) -> Vec<f32> {
@@ -295,7 +299,8 @@ mod tests {
     }
 
     fn frames() -> Vec<Frame> {
-        let places = [(0.5, 0.5, 0.3, 0.7), (1.0, 0.2, 0.6, 0.4), (0.0, 0.0, 0.2, 0.2), (0.31, 0.36, 0.3, 0.4)];
+        let places =
+            [(0.5, 0.5, 0.3, 0.7), (1.0, 0.2, 0.6, 0.4), (0.0, 0.0, 0.2, 0.2), (0.31, 0.36, 0.3, 0.4)];
         places
             .iter()
             .map(|p| {
@@ -307,9 +312,8 @@ mod tests {
 
     /// Largest difference over the largest value, both halves.
     fn apart(a: &[Latent], b: &[Latent]) -> f32 {
-        let flat = |l: &[Latent]| -> Vec<f32> {
-            l.iter().flat_map(|l| l.z_c.into_iter().chain(l.z_u)).collect()
-        };
+        let flat =
+            |l: &[Latent]| -> Vec<f32> { l.iter().flat_map(|l| l.z_c.into_iter().chain(l.z_u)).collect() };
         let (a, b) = (flat(a), flat(b));
         let size = a.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         a.iter().zip(&b).fold(0.0f32, |m, (a, b)| m.max((a - b).abs())) / size

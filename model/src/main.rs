@@ -81,19 +81,16 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
     let episodes = train::collect(&config, &Scenario::default());
     model::dataset::save(&episodes, &args.out)?;
     let path = args.out.join("config.toml");
-    std::fs::write(&path, toml::to_string(&config)?).with_context(|| format!("writing {}", path.display()))?;
+    std::fs::write(&path, toml::to_string(&config)?)
+        .with_context(|| format!("writing {}", path.display()))?;
     println!("{} episodes of {} actions in {}", episodes.len(), config.data.steps, args.out.display());
     Ok(())
 }
 
 fn run(args: &Train) -> anyhow::Result<()> {
     let config = resolve(args.config.as_ref(), args.seed)?;
-    let run = Run {
-        backend: args.backend,
-        out: args.out.clone(),
-        data: args.data.clone(),
-        resume: args.resume,
-    };
+    let run =
+        Run { backend: args.backend, out: args.out.clone(), data: args.data.clone(), resume: args.resume };
     let (started, cpu) = (Instant::now(), train::cpu_seconds());
     let model = train::train(&config, &run)?;
     let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), train::cpu_seconds() - cpu);

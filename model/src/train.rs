@@ -251,7 +251,10 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
     let mut all = dataset::collect(episodes, steps, Start::Mixed, scenario, &noise, 0);
     all.extend(dataset::collect(edge_episodes, steps, Start::Edge, scenario, &noise, 1));
     // Mixed, so that the first few are like all.
-    rand::seq::SliceRandom::shuffle(all.as_mut_slice(), &mut noise.generator(Stream::Data, u64::from(u32::MAX)));
+    rand::seq::SliceRandom::shuffle(
+        all.as_mut_slice(),
+        &mut noise.generator(Stream::Data, u64::from(u32::MAX)),
+    );
     all
 }
 
@@ -314,7 +317,11 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> 
     // Predictors and probe.
     let (predictor, probe) = stages.keep(
         "predictor",
-        |dir| read(dir, "predictor.safetensors", |r| Ok((checkpoint::get_predictor(r)?, checkpoint::get_probe(r)?))),
+        |dir| {
+            read(dir, "predictor.safetensors", |r| {
+                Ok((checkpoint::get_predictor(r)?, checkpoint::get_probe(r)?))
+            })
+        },
         || {
             let predictor = fit_predictor(&encoder, &episodes, config, &scenario)?;
             Ok((predictor, fit_probe(&encoder, &planes, config, &scenario, &noise)))
@@ -340,7 +347,12 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> 
     )?;
 
     // Measured on fresh pictures.
-    let card = Card { format: FORMAT.into(), backend: run.backend.name().into(), config: config.clone(), ..Card::default() };
+    let card = Card {
+        format: FORMAT.into(),
+        backend: run.backend.name().into(),
+        config: config.clone(),
+        ..Card::default()
+    };
     let [plane_c, plane_u] = planes;
     let mut model =
         WorldModel { encoder, plane_c, plane_u, scale: config.encoder.scale, predictor, heads, probe, card };
@@ -427,7 +439,8 @@ fn fit_predictor(
         let latents = encoder.encode_all(&frames, |k| episode.frame(*k, scenario));
         for (k, a) in episode.actions.iter().enumerate() {
             let window = &latents[k..k + 3];
-            let half = |pick: fn(&crate::infer::Latent) -> &[f32; LATENT]| [0, 1, 2].map(|n| wide(pick(&window[n])));
+            let half =
+                |pick: fn(&crate::infer::Latent) -> &[f32; LATENT]| [0, 1, 2].map(|n| wide(pick(&window[n])));
             c.push((half(|l| &l.z_c), *a));
             u.push((half(|l| &l.z_u), Vector2::zeros()));
         }
@@ -437,7 +450,8 @@ fn fit_predictor(
         bar.inc(1);
     }
     bar.finish();
-    let (c0, c1, one_step) = predictor::fit_pinned(&c, config.predictor.ridge).ok_or(TrainError::Predictor)?;
+    let (c0, c1, one_step) =
+        predictor::fit_pinned(&c, config.predictor.ridge).ok_or(TrainError::Predictor)?;
     let ca = if lag == 1 { one_step } else { predictor::fit_action(&lagged) };
     let kept = without_bounces(u, config.closed_form.keep);
     let (u0, u1) = predictor::fit_free(&kept, config.predictor.ridge).ok_or(TrainError::Predictor)?;
@@ -557,7 +571,8 @@ fn read<T>(
     parse: impl Fn(&Reader<'_>) -> Result<T, CheckpointError>,
 ) -> Result<T, CheckpointError> {
     let path = dir.join(name);
-    let bytes = std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
+    let bytes =
+        std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
     parse(&Reader::new(&bytes, path)?)
 }
 

@@ -267,6 +267,9 @@ mod tests {
         let input = Input::new(&Scenario::default(), [true, false, true]);
         let (factor, missing) = input.factors([0, 0, 0]);
         assert!(factor.iter().all(|f| f.is_finite()) && missing == [0.0; 3]);
-        assert!((input.scale[0] - 0.0366).abs() < 1e-4 && (input.scale[2] - 0.1693).abs() < 1e-3, "{input:?}");
+        assert!(
+            (input.scale[0] - 0.0366).abs() < 1e-4 && (input.scale[2] - 0.1693).abs() < 1e-3,
+            "{input:?}"
+        );
     }
 }
