@@ -130,6 +130,9 @@ pub fn measure(
     }
 }
 
+/// y_c and y_u of one picture, or of a rollout's end.
+type Seen = (Vector2<f64>, Vector2<f64>);
+
 /// Keeps the held-out episodes apart from the training ones.
 const EVALUATION_EPISODES: u64 = 9;
 
@@ -171,7 +174,7 @@ fn rollouts(
     episodes: &[Episode],
     scenario: &Scenario,
     noise: &Noise,
-) -> (RolloutMetrics, Vec<(Vector2<f64>, Vector2<f64>)>) {
+) -> (RolloutMetrics, Vec<Seen>) {
     let psi = model.reduced();
     let starts = model.encoder.encode_all(episodes, |e| e.frame(1, scenario));
     let mut other: Vec<usize> = (0..episodes.len()).collect();
@@ -218,7 +221,7 @@ fn last_scene(episode: &Episode) -> Scene {
 fn judge(
     model: &WorldModel,
     scenes: &[Scene],
-    seen: &[(Vector2<f64>, Vector2<f64>)],
+    seen: &[Seen],
     scenario: &Scenario,
     config: &HeadsConfig,
 ) -> HeadMetrics {
