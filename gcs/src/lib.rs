@@ -1,1 +1,29 @@
-//! Stub while the dependencies compile.
+//! A ground station that flies a UAV from pictures.
+//!
+//! ```text
+//! Percept --> Station: encode --> Belief --> Pilot --> Command      (sans-IO)
+//!    ^                                                     |
+//!    +---------- fly: UDP, MAVLink, tlog ------------------+
+//! ```
+//!
+//! | module | what it is | what it does not know |
+//! |---|---|---|
+//! | [`station`] | percept in, command out, idempotent | sockets, clocks |
+//! | [`belief`] | latent history, ledger of commands | physics |
+//! | [`pilot`] | CRPL, RCC, UCC: who sees what | bytes |
+//! | [`remote`] | datagrams to percepts, commands to datagrams | sockets |
+//! | [`fly`] | the UDP shell | controllers |
+//! | [`lab`] | flights in process, figures | protocols |
+//! | [`run`] | the folder that a flight leaves behind | flying |
+//! | [`episodes`] | many seeds in process | protocols |
+//! | [`demo`] | both controllers against a `sitl` of its own | controllers' insides |
+
+pub mod belief;
+pub mod demo;
+pub mod episodes;
+pub mod fly;
+pub mod lab;
+pub mod pilot;
+pub mod remote;
+pub mod run;
+pub mod station;

@@ -1,2 +1,206 @@
-//! Stub.
-fn main() {}
+//! `gcs`: flies a UAV from pictures.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use gcs::demo::{self, Flight};
+use gcs::fly::{self, Options};
+use gcs::pilot::Controller;
+use gcs::run::{self, Brain, Summary};
+use gcs::{episodes, episodes::Episodes};
+use sitl::Scenario;
+use sitl::cli::Pace;
+use sitl::link::endpoint::Endpoint;
+
+/// A ground station that flies a UAV from pictures: CRPL and its baselines over MAVLink.
+#[derive(Debug, Parser)]
+#[command(name = "gcs", version)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Start a vehicle and fly it over UDP, once by each controller, with the same gusts.
+    Demo(Demo),
+    /// Fly a vehicle that is there.
+    Fly(Fly),
+    /// Fly many seeds in process, pictures rendered and encoded, and print means with intervals.
+    Episodes(Episodes),
+    /// Run the vehicle: the same program as `sitl`.
+    Sitl(sitl::cli::Args),
+}
+
+/// What is flown, and by which trained things.
+#[derive(Debug, clap::Args)]
+struct Task {
+    /// Scenario file (TOML); what it leaves out keeps the paper's values.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The paper's scenario: puts the obstacle beside (1) or in (2) the direct path.
+    #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: Option<u8>,
+    /// Folder of a world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// File with CRPL's policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+}
+
+impl Task {
+    fn scenario(&self, or: impl FnOnce() -> Result<Scenario>) -> Result<Scenario> {
+        let mut scenario = match &self.config {
+            Some(path) => Scenario::load(path)?,
+            None => or()?,
+        };
+        if let Some(number) = self.scenario {
+            // A file's own name tells more than the number that it has already.
+            if scenario.number() != Some(number) {
+                scenario.set_number(number)?;
+            }
+        }
+        Ok(scenario)
+    }
+
+    fn brain(&self) -> Result<Brain> {
+        Brain::load(self.checkpoint.as_deref(), self.policy.clone())
+    }
+}
+
+#[derive(Debug, clap::Args)]
+struct Demo {
+    #[command(flatten)]
+    task: Task,
+    /// Who flies, in turn.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["crpl", "rcc"])]
+    controller: Vec<Controller>,
+    /// Seed of the disturbance.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Real time, or one tick per command.
+    #[arg(long, value_enum, default_value = "lockstep")]
+    pace: Pace,
+    /// How many times faster than real time.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    speedup: f64,
+    /// Folder for the run folders, one a controller.
+    #[arg(long, value_name = "DIR", default_value = "runs/demo")]
+    out: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct Fly {
+    #[command(flatten)]
+    task: Task,
+    /// udpout:HOST:PORT of a vehicle that listens, udpin:HOST:PORT to wait for one that speaks first.
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Endpoint,
+    /// Who flies.
+    #[arg(long, value_enum, default_value = "crpl")]
+    controller: Controller,
+    /// End after N control intervals [default: the scenario's horizon].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    ticks: Option<u64>,
+    /// Run folder.
+    #[arg(long, value_name = "DIR", default_value = "runs/flight")]
+    out: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+async fn demo(args: Demo) -> Result<()> {
+    let scenario = args.task.scenario(demo::scenario)?;
+    let brain = args.task.brain()?;
+    let mut flights = Vec::new();
+    for controller in args.controller {
+        let flight = Flight {
+            controller,
+            scenario: &scenario,
+            seed: args.seed,
+            pace: args.pace,
+            speedup: args.speedup,
+        };
+        let dir = args.out.join(controller.to_string());
+        let Some(summary) = demo::fly(&brain, &flight, &dir).await? else { break };
+        flights.push(summary);
+    }
+    report(&flights, args.json)?;
+    if !args.json {
+        println!("records, tlog and plot in {}", args.out.display());
+    }
+    Ok(())
+}
+
+async fn fly(args: Fly) -> Result<()> {
+    let scenario = args.task.scenario(|| Ok(Scenario::default()))?;
+    let mut station = args.task.brain()?.station(args.controller, &scenario)?;
+    run::begin(&args.out, &scenario)?;
+    let options = Options {
+        ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
+        tlog: Some(args.out.join("flight.tlog")),
+        ..Options::default()
+    };
+    tracing::info!(controller = %args.controller, scenario = scenario.name, "connecting to {}", args.connect);
+    let flown = fly::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?;
+    if let Some(last) = &flown.last {
+        station.finish(last);
+    }
+    let summary = Summary::of(args.controller, None, &station, &flown)
+        .context("the flight ended before its first interval")?;
+    run::end(&args.out, &summary, station.records(), &scenario)?;
+    report(std::slice::from_ref(&summary), args.json)?;
+    if !args.json {
+        println!("records, tlog and plot in {}", args.out.display());
+    }
+    Ok(())
+}
+
+fn report(flights: &[Summary], json: bool) -> Result<()> {
+    if json {
+        println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
+    } else {
+        print!("{}", run::table(flights));
+    }
+    Ok(())
+}
+
+fn run_command(command: Command) -> Result<()> {
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().context("starting the runtime")?;
+    match command {
+        Command::Demo(args) => runtime.block_on(demo(args)),
+        Command::Fly(args) => runtime.block_on(fly(args)),
+        Command::Sitl(args) => runtime.block_on(sitl::cli::run(args)),
+        Command::Episodes(args) => episodes::run(&args),
+    }
+}
+
+fn main() -> ExitCode {
+    let args = match Args::try_parse() {
+        Ok(args) => args,
+        Err(error) => return sitl::cli::usage(&error),
+    };
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
+        )
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+    match run_command(args.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", sitl::cli::one_line(&error));
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -130,9 +130,6 @@ pub fn measure(
     }
 }
 
-/// y_c and y_u of one picture, or of a rollout's end.
-type Seen = (Vector2<f64>, Vector2<f64>);
-
 /// Keeps the held-out episodes apart from the training ones.
 const EVALUATION_EPISODES: u64 = 9;
 
@@ -168,13 +165,16 @@ pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noi
     }
 }
 
+/// y_c and y_u of a picture, or at the end of a rollout.
+type Ends = (Vector2<f64>, Vector2<f64>);
+
 /// Latent rollouts of the UAV from rest, and where both halves end.
 fn rollouts(
     model: &WorldModel,
     episodes: &[Episode],
     scenario: &Scenario,
     noise: &Noise,
-) -> (RolloutMetrics, Vec<Seen>) {
+) -> (RolloutMetrics, Vec<Ends>) {
     let psi = model.reduced();
     let starts = model.encoder.encode_all(episodes, |e| e.frame(1, scenario));
     let mut other: Vec<usize> = (0..episodes.len()).collect();
@@ -221,7 +221,7 @@ fn last_scene(episode: &Episode) -> Scene {
 fn judge(
     model: &WorldModel,
     scenes: &[Scene],
-    seen: &[Seen],
+    seen: &[Ends],
     scenario: &Scenario,
     config: &HeadsConfig,
 ) -> HeadMetrics {

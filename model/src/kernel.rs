@@ -1,5 +1,18 @@
 //! The few inner loops that take the time, written so that they vectorise and give the same bits
-//! on every machine.
+//! on every machine: fixed order of summation, explicit fused multiply-adds, no platform libm.
+//!
+//! Rollouts run [`LANES`] at a time: a [`Lane`] holds one quantity of that many rollouts.
+
+use pulp::{Arch, Simd, WithSimd};
+
+/// Rollouts that move together through one call.
+pub const LANES: usize = 32;
+
+/// One quantity of [`LANES`] rollouts.
+pub type Lane = [f32; LANES];
+
+/// A lane of zeros.
+pub const ZERO: Lane = [0.0; LANES];
 
 /// tanh as a rational function (odd polynomial of degree 13 over even one of degree 6, on ±7.9),
 /// within 4e-7 of the true value. The library's tanh differs between platforms; this does not.
@@ -18,15 +31,171 @@ pub fn tanh(x: f32) -> f32 {
     const BETA: [f32; 4] = [4.893_525e-3, 2.268_434_6e-3, 1.185_347e-4, 1.198_258_4e-6];
     let x = x.clamp(-7.905_311, 7.905_311);
     let x2 = x * x;
-    let mut p = ALPHA[6];
-    for a in ALPHA[..6].iter().rev() {
-        p = p.mul_add(x2, *a);
-    }
-    let mut q = BETA[3];
-    for b in BETA[..3].iter().rev() {
-        q = q.mul_add(x2, *b);
-    }
+    let p = x2.mul_add(ALPHA[6], ALPHA[5]);
+    let p = x2.mul_add(p, ALPHA[4]);
+    let p = x2.mul_add(p, ALPHA[3]);
+    let p = x2.mul_add(p, ALPHA[2]);
+    let p = x2.mul_add(p, ALPHA[1]);
+    let p = x2.mul_add(p, ALPHA[0]);
+    let q = x2.mul_add(BETA[3], BETA[2]);
+    let q = x2.mul_add(q, BETA[1]);
+    let q = x2.mul_add(q, BETA[0]);
     x * p / q
+}
+
+/// e^x for x in about ±87 (clamped there), within 2e-7 relative; no platform libm.
+#[inline(always)]
+#[must_use]
+pub fn exp(x: f32) -> f32 {
+    const LOG2_E: f32 = std::f32::consts::LOG2_E;
+    // ln 2 in two parts, so that x - n ln 2 is exact to the last bits.
+    const LN2_HIGH: f32 = 0.693_359_4;
+    const LN2_LOW: f32 = -2.121_944_4e-4;
+    let x = x.clamp(-87.0, 87.0);
+    let n = (x * LOG2_E).round_ties_even();
+    let r = n.mul_add(-LN2_LOW, n.mul_add(-LN2_HIGH, x));
+    let p = r.mul_add(1.987_569_1e-4, 1.398_2e-3);
+    let p = r.mul_add(p, 8.333_452e-3);
+    let p = r.mul_add(p, 4.166_579_6e-2);
+    let p = r.mul_add(p, 1.666_666_5e-1);
+    let p = r.mul_add(p, 0.5);
+    let e = (r * r).mul_add(p, r) + 1.0;
+    // 2^n by its exponent bits; n lies in ±126 after the clamp.
+    e * f32::from_bits(((n as i32 + 127) as u32) << 23)
+}
+
+/// 1 / (1 + e^-x).
+#[inline(always)]
+#[must_use]
+pub fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + exp(-x))
+}
+
+/// y = x W + b for all lanes: `w` row-major [inputs][outputs], `x` [inputs], `y` [outputs].
+pub fn affine(w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane]) {
+    Arch::new().dispatch(Affine { w, b, x, y });
+}
+
+struct Affine<'a> {
+    w: &'a [f32],
+    b: &'a [f32],
+    x: &'a [Lane],
+    y: &'a mut [Lane],
+}
+
+impl WithSimd for Affine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { w, b, x, y } = self;
+        let whole = y.len() / 8 * 8;
+        for j in (0..whole).step_by(8) {
+            affine_tile::<S, 8>(simd, w, b, x, y, j);
+        }
+        for j in whole..y.len() {
+            affine_tile::<S, 1>(simd, w, b, x, y, j);
+        }
+    }
+}
+
+/// Outputs j..j+N of [`affine`], their sums kept in registers.
+#[inline(always)]
+fn affine_tile<S: Simd, const N: usize>(simd: S, w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane], j: usize) {
+    let outputs = y.len();
+    for v in 0..LANES / S::F32_LANES {
+        let mut acc = [simd.splat_f32s(0.0); N];
+        for (a, bias) in acc.iter_mut().zip(&b[j..j + N]) {
+            *a = simd.splat_f32s(*bias);
+        }
+        for (xi, row) in x.iter().zip(w.chunks_exact(outputs)) {
+            let xi = S::as_simd_f32s(xi).0[v];
+            for (a, weight) in acc.iter_mut().zip(&row[j..j + N]) {
+                *a = simd.mul_add_f32s(simd.splat_f32s(*weight), xi, *a);
+            }
+        }
+        for (lane, a) in y[j..j + N].iter_mut().zip(acc) {
+            S::as_mut_simd_f32s(lane).0[v] = a;
+        }
+    }
+}
+
+/// dW += Σ_k Σ_lanes x_k ⊗ dy_k, over consecutive blocks of `inputs` resp. `outputs` lanes.
+pub fn outer(x: &[Lane], inputs: usize, dy: &[Lane], outputs: usize, dw: &mut [f32]) {
+    Arch::new().dispatch(Outer { x, inputs, dy, outputs, dw });
+}
+
+struct Outer<'a> {
+    x: &'a [Lane],
+    inputs: usize,
+    dy: &'a [Lane],
+    outputs: usize,
+    dw: &'a mut [f32],
+}
+
+/// Sides of the squares in which [`outer`] sums.
+const SQUARE: usize = 4;
+
+/// Partial sums of a lane: fixed, so that every vector width adds in the same order.
+const PARTIAL: usize = 16;
+
+impl WithSimd for Outer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { x, inputs, dy, outputs, dw } = self;
+        for i in (0..inputs).step_by(SQUARE) {
+            for j in (0..outputs).step_by(SQUARE) {
+                // Past the end a square repeats the last row or column; what it sums there is not kept.
+                let rows: [usize; SQUARE] = std::array::from_fn(|t| (i + t).min(inputs - 1));
+                let columns: [usize; SQUARE] = std::array::from_fn(|t| (j + t).min(outputs - 1));
+                let mut sums = [[[0.0f32; PARTIAL]; SQUARE]; SQUARE];
+                for v in 0..PARTIAL / S::F32_LANES.min(PARTIAL) {
+                    let mut acc = [[simd.splat_f32s(0.0); SQUARE]; SQUARE];
+                    for (xk, dk) in x.chunks_exact(inputs).zip(dy.chunks_exact(outputs)) {
+                        for half in 0..LANES / PARTIAL {
+                            let at = half * (PARTIAL / S::F32_LANES) + v;
+                            for (cells, row) in acc.iter_mut().zip(rows) {
+                                let xv = S::as_simd_f32s(&xk[row]).0[at];
+                                for (cell, column) in cells.iter_mut().zip(columns) {
+                                    let dv = S::as_simd_f32s(&dk[column]).0[at];
+                                    *cell = simd.mul_add_f32s(xv, dv, *cell);
+                                }
+                            }
+                        }
+                    }
+                    for (sums, cells) in sums.iter_mut().zip(acc) {
+                        for (sum, cell) in sums.iter_mut().zip(cells) {
+                            S::as_mut_simd_f32s(sum).0[v] = cell;
+                        }
+                    }
+                }
+                for (u, cells) in sums.iter().enumerate().take(inputs - i) {
+                    for (v, cell) in cells.iter().enumerate().take(outputs - j) {
+                        dw[(i + u) * outputs + j + v] += cell.iter().sum::<f32>();
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Sum of every lane, added to `db` [outputs], over all blocks of `dy`.
+#[inline(always)]
+pub fn sum_lanes(dy: &[Lane], db: &mut [f32]) {
+    for block in dy.chunks_exact(db.len()) {
+        for (b, lane) in db.iter_mut().zip(block) {
+            *b += lane.iter().sum::<f32>();
+        }
+    }
+}
+
+/// W transposed: `w` [rows][columns] row-major to [columns][rows].
+#[must_use]
+pub fn transpose(w: &[f32], columns: usize) -> Vec<f32> {
+    let rows = w.len() / columns;
+    (0..columns * rows).map(|n| w[(n % rows) * columns + n / rows]).collect()
 }
 
 #[cfg(test)]
@@ -40,5 +209,44 @@ mod tests {
             let error = (f64::from(tanh(x)) - f64::from(x).tanh()).abs();
             assert!(error < 4e-7, "tanh({x}) is off by {error}");
         }
+    }
+
+    #[test]
+    fn exp_is_exp() {
+        for k in -8000..=8000 {
+            let x = k as f32 * 0.01;
+            let error = (f64::from(exp(x)) / f64::from(x).exp() - 1.0).abs();
+            assert!(error < 2e-7, "exp({x}) is off by {error}");
+        }
+    }
+
+    #[test]
+    fn affine_and_outer_agree_with_plain_loops() {
+        let (inputs, outputs, steps) = (6, 5, 3);
+        let value = |n: usize| ((n * 37 + 11) % 23) as f32 / 23.0 - 0.5;
+        let w: Vec<f32> = (0..inputs * outputs).map(value).collect();
+        let b: Vec<f32> = (0..outputs).map(value).collect();
+        let lanes = |n: usize| -> Vec<Lane> {
+            (0..n).map(|i| std::array::from_fn(|l| value(i * LANES + l))).collect()
+        };
+        let (x, dy) = (lanes(inputs * steps), lanes(outputs * steps));
+        let mut y = vec![ZERO; outputs];
+        affine(&w, &b, &x[..inputs], &mut y);
+        let mut dw = vec![0.0; w.len()];
+        outer(&x, inputs, &dy, outputs, &mut dw);
+        for j in 0..outputs {
+            for (l, got) in y[j].iter().enumerate() {
+                let want = b[j] + (0..inputs).map(|i| w[i * outputs + j] * x[i][l]).sum::<f32>();
+                assert!((got - want).abs() < 1e-6);
+            }
+            for i in 0..inputs {
+                let want: f32 = (0..steps)
+                    .flat_map(|k| (0..LANES).map(move |l| (k, l)))
+                    .map(|(k, l)| x[k * inputs + i][l] * dy[k * outputs + j][l])
+                    .sum();
+                assert!((dw[i * outputs + j] - want).abs() < 1e-4);
+            }
+        }
+        assert_eq!(transpose(&transpose(&w, outputs), inputs), w);
     }
 }

@@ -20,11 +20,17 @@
 //! | [`dataset`] | episodes from the simulator's world | networks |
 //! | [`train`] | the recipe | flights |
 //! | [`evaluate`] | what it is worth on held-out pictures | training |
+//! | [`policy`] | π_s and π_p, and how they are executed | positions, bandwidth |
+//! | [`crpl`] | J_η on latent rollouts, and its gradient | pictures |
+//! | [`optimise`] | Algorithm 1 | the simulator |
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 
+#![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
+
 pub mod checkpoint;
 pub mod closed_form;
+pub mod crpl;
 pub mod dataset;
 pub mod evaluate;
 pub mod heads;
@@ -32,6 +38,8 @@ pub mod infer;
 pub mod jepa;
 pub mod kernel;
 pub mod mlp;
+pub mod optimise;
+pub mod policy;
 pub mod predictor;
 pub mod probe;
 pub mod train;

@@ -1,4 +1,6 @@
-//! `model collect | train`: makes the data and the world model.
+//! `model collect | train | optimise`: makes the data, the world model and the policies.
+
+mod optimise_cli;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -23,6 +25,8 @@ enum Command {
     Collect(Collect),
     /// Train the world model and write its checkpoint.
     Train(Train),
+    /// Optimise CRPL's two policies in latent space (Algorithm 1).
+    Optimise(optimise_cli::Optimise),
 }
 
 #[derive(Debug, clap::Args)]
@@ -73,6 +77,7 @@ fn main() -> anyhow::Result<()> {
     match Args::parse().command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
+        Command::Optimise(args) => optimise_cli::run(&args),
     }
 }
 

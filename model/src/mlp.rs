@@ -4,10 +4,12 @@
 //! export into it. Every sum runs in a fixed order with fused multiply-adds, so results do not
 //! depend on the machine's vector width.
 
+use serde::{Deserialize, Serialize};
+
 use crate::kernel;
 
 /// One layer: y = x W + b.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Dense {
     /// Length of x.
     pub inputs: usize,
@@ -28,7 +30,7 @@ impl Dense {
 }
 
 /// Layers with tanh between them and nothing after the last.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mlp {
     /// First to last.
     pub layers: Vec<Dense>,

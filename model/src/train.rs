@@ -261,7 +261,7 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// The whole recipe. Writes the checkpoint and returns it.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
     config.check()?;
-    let (started, cpu_before, revision) = (Instant::now(), cpu_seconds(), revision());
+    let (started, cpu_before, revision) = (Instant::now(), cpu_seconds(), sitl::revision());
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let stages = Stages::open(config, run)?;
@@ -641,19 +641,6 @@ pub fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after_name = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
     after_name.split_whitespace().skip(11).take(2).filter_map(|t| t.parse::<f64>().ok()).sum::<f64>() / 100.0
-}
-
-/// `git rev-parse HEAD`, marked where the working tree differs from it, or "unknown".
-fn revision() -> String {
-    let git = |args: &[&str]| {
-        let output = std::process::Command::new("git").args(args).output().ok()?;
-        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-    };
-    let Some(head) = git(&["rev-parse", "HEAD"]) else { return "unknown".into() };
-    match git(&["status", "--porcelain", "--untracked-files=no"]) {
-        Some(changes) if changes.is_empty() => head,
-        _ => format!("{head}, with uncommitted changes"),
-    }
 }
 
 /// The card for people.

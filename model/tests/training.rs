@@ -25,8 +25,8 @@ fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainEr
 }
 
 fn bytes(out: &Path) -> (Vec<u8>, String) {
-    let tensors = std::fs::read(out.join("model.safetensors")).expect("the tensors are there");
-    (tensors, std::fs::read_to_string(out.join("config.json")).expect("the configuration is there"))
+    let tensors = std::fs::read(out.join("model.safetensors")).expect("the run wrote its tensors");
+    (tensors, std::fs::read_to_string(out.join("config.json")).expect("the run wrote its config"))
 }
 
 #[test]

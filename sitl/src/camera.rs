@@ -97,8 +97,10 @@ impl Disc {
             }
         }
         let area = std::f64::consts::PI * (radius_px * radius_px + edge_px * edge_px / 12.0);
+        // A disc so small that it falls between the pixel centres leaves nothing to scale.
+        let scale = if sum > 0.0 { area / sum } else { 0.0 };
         for c in &mut coverage {
-            *c = (*c * (area / sum)).min(1.0);
+            *c = (*c * scale).min(1.0);
         }
         Self { left, top, side, coverage }
     }
@@ -178,7 +180,10 @@ mod tests {
             let frame = render(r, Vector2::new(0.8, 0.8), &scenario);
             let (m, x, y) = moments(&frame, 0);
             assert!((m / area - 1.0).abs() < 4e-3, "area {m} at {r}");
-            assert!((x - 100.0 * r.x).abs() < 0.05 && (y - 100.0 * r.y).abs() < 0.05, "centre {x} {y} at {r}");
+            assert!(
+                (x - 100.0 * r.x).abs() < 0.05 && (y - 100.0 * r.y).abs() < 0.05,
+                "centre {x} {y} at {r}"
+            );
         }
     }
 
@@ -192,6 +197,14 @@ mod tests {
                 assert_eq!(cut.pixel(x, y)[0], whole.pixel(x - 50, y)[0], "column {x}, row {y}");
             }
         }
+    }
+
+    #[test]
+    fn a_disc_between_the_pixels_is_invisible() {
+        let mut scenario = Scenario { uav_radius: 1e-4, ..Scenario::default() };
+        scenario.camera.edge_px = 1e-3;
+        let frame = render(Vector2::new(0.5, 0.2), Vector2::new(0.8, 0.8), &scenario);
+        assert!(frame.rgb().chunks_exact(CHANNELS).all(|pixel| pixel[0] == 0));
     }
 
     #[test]

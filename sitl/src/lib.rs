@@ -15,18 +15,28 @@
 //! | [`camera`] | world to 100x100 picture | physics |
 //! | [`radio`] | the gate: delivered, delayed, superseded, lost; hold-last | geometry |
 //! | [`sim`] | world + gate + camera, a state machine | clocks, sockets |
+//! | [`link`] | MAVLink 2 in datagrams, for both programs | physics, controllers |
+//! | [`vehicle`] | `Sim` as MAVLink peers see it, a state machine | clocks, sockets |
+//! | [`shell`] | sockets and timers: lockstep and real time | what a datagram means |
+//! | [`cli`] | flags to a running vehicle | |
 //! | [`record`] | one line per control interval, and the five metrics | where the lines came from |
 //!
 //! Nothing here opens a socket or reads a clock but the shells of the program.
 
 pub mod camera;
+pub mod cli;
+pub mod link;
 pub mod msg;
 pub mod radio;
 pub mod record;
+mod revision;
 pub mod scenario;
+pub mod shell;
 pub mod sim;
 pub mod units;
+pub mod vehicle;
 pub mod world;
 
+pub use revision::revision;
 pub use scenario::Scenario;
 pub use sim::Sim;

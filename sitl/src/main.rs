@@ -1,2 +1,5 @@
-//! Stub.
-fn main() {}
+//! The `sitl` program. Everything is in the library, where `gcs sitl` finds it too.
+
+fn main() -> std::process::ExitCode {
+    sitl::cli::main()
+}

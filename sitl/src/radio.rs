@@ -62,19 +62,20 @@ impl Gate {
     /// Hands a command to the transmitter. A repeat of one that is waiting replaces it; one that is
     /// older than the newest, or whose fate is settled, is ignored.
     pub fn submit(&mut self, command: Command) {
-        self.set_power(command.power);
         let packet = Held { tick: command.tick, accel: command.accel };
         match self.newest {
             Some(newest) if command.tick < newest => return,
             Some(newest) if command.tick == newest => {
                 if let Some(waiting) = self.pending.as_mut() {
                     *waiting = packet;
+                    self.power = command.power;
                 }
                 return;
             }
             _ => {}
         }
         self.newest = Some(command.tick);
+        self.power = command.power;
         self.fates.sent += 1;
         if self.pending.replace(packet).is_some() {
             self.fates.superseded += 1;
@@ -163,9 +164,9 @@ mod tests {
         gate.submit(command(4));
         gate.transmit(Tick(4), true);
         gate.submit(command(4));
-        gate.submit(command(3));
+        gate.submit(Command { power: TxPower::High, ..command(3) });
         gate.transmit(Tick(5), false);
-        assert_eq!(held_tick(&gate), None);
+        assert_eq!((held_tick(&gate), gate.power()), (None, TxPower::Low));
         assert_eq!(gate.fates(), Fates { sent: 1, lost: 1, ..Fates::default() });
     }
 

@@ -97,7 +97,7 @@ pub struct Dynamics {
     pub v_max: f64,
     /// a_max, units per interval².
     pub a_max: f64,
-    /// Whether [0,1]² has walls (our choice: yes).
+    /// Whether `[0, 1]²` has walls (our choice: yes).
     pub walls: bool,
 }
 
@@ -334,6 +334,7 @@ impl Scenario {
     pub fn check(&self) -> Result<(), ScenarioError> {
         let positive = "must be finite and above 0";
         let unit = "must lie in [0, 1]";
+        let size = "must be above 0 and at most the width of the frame, 1 unit or 100 px";
         let finite = "must be finite and at least 0";
         for (key, value) in [
             ("scale.metres_per_unit", self.scale.metres_per_unit),
@@ -341,8 +342,6 @@ impl Scenario {
             ("dynamics.v_max", self.dynamics.v_max),
             ("dynamics.a_max", self.dynamics.a_max),
             ("goal_radius", self.goal_radius),
-            ("uav_radius", self.uav_radius),
-            ("obstacle.radius", self.obstacle.radius),
             ("channel.noise_power", self.channel.noise_power),
             ("channel.blockage_softness", self.channel.blockage_softness),
             ("channel.distance_floor", self.channel.distance_floor),
@@ -351,9 +350,19 @@ impl Scenario {
             ("radio.b_dt", self.radio.b_dt),
             ("radio.packet_bits", self.radio.packet_bits),
             ("safety.softness", self.safety.softness),
-            ("camera.edge_px", self.camera.edge_px),
+            ("propulsion.blade_profile_power", self.propulsion.blade_profile_power),
+            ("propulsion.induced_power", self.propulsion.induced_power),
+            ("propulsion.tip_speed", self.propulsion.tip_speed),
+            ("propulsion.hover_induced_velocity", self.propulsion.hover_induced_velocity),
         ] {
             check(key, value, value > 0.0 && value.is_finite(), positive)?;
+        }
+        for (key, value, most) in [
+            ("uav_radius", self.uav_radius, 1.0),
+            ("obstacle.radius", self.obstacle.radius, 1.0),
+            ("camera.edge_px", self.camera.edge_px, 100.0),
+        ] {
+            check(key, value, value > 0.0 && value <= most, size)?;
         }
         for (key, value) in [
             ("start[0]", self.start.x),
@@ -374,13 +383,28 @@ impl Scenario {
             ("disturbance.sigma_c", self.disturbance.sigma_c),
             ("disturbance.noise_gain", self.disturbance.noise_gain),
             ("safety.d_min", self.safety.d_min),
+            ("channel.path_loss_exponent", self.channel.path_loss_exponent),
+            ("propulsion.fuselage_drag_ratio", self.propulsion.fuselage_drag_ratio),
+            ("propulsion.air_density", self.propulsion.air_density),
+            ("propulsion.rotor_solidity", self.propulsion.rotor_solidity),
+            ("propulsion.rotor_area", self.propulsion.rotor_area),
+            ("scale.altitude_m", self.scale.altitude_m),
         ] {
             check(key, value, value >= 0.0 && value.is_finite(), finite)?;
         }
-        let speed = self.obstacle.velocity.norm();
-        check("obstacle.velocity", speed, speed <= 0.5, "must be at most 0.5 units per interval")?;
         let margin = self.obstacle.margin;
         check("obstacle.margin", margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
+        let (speed, most) = (self.obstacle.velocity.norm(), (1.0 - 2.0 * margin).min(0.5));
+        let must = "must be at most 0.5 units per interval, and at most 1 - 2 obstacle.margin";
+        check("obstacle.velocity", speed, speed <= most, must)?;
+        let inside = margin..=1.0 - margin;
+        for (key, r, v) in [
+            ("obstacle.position[0]", self.obstacle.position.x, self.obstacle.velocity.x),
+            ("obstacle.position[1]", self.obstacle.position.y, self.obstacle.velocity.y),
+        ] {
+            let must = "must be obstacle.margin or more from the walls if it moves";
+            check(key, r, v == 0.0 || inside.contains(&r), must)?;
+        }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
         let horizon = self.horizon as f64;
@@ -415,6 +439,16 @@ mod tests {
         let error = Scenario::from_toml("[radio]\nb_dt = -1.0\n").unwrap_err().to_string();
         assert_eq!(error, "radio.b_dt = -1: must be finite and above 0");
         assert!(Scenario::from_toml("[dynamics]\na_max = nan\n").is_err());
+    }
+
+    #[test]
+    fn a_moving_obstacle_starts_and_stays_inside_its_margin() {
+        let error = |text: &str| Scenario::from_toml(text).unwrap_err().to_string();
+        let text = "[obstacle]\nposition = [0.1, 0.5]\nvelocity = [0.01, 0.0]\n";
+        assert!(error(text).starts_with("obstacle.position[0] = 0.1: must be"), "{}", error(text));
+        let text = "[obstacle]\nmargin = 0.45\nvelocity = [0.2, 0.0]\n";
+        assert!(error(text).starts_with("obstacle.velocity = 0.2: must be"), "{}", error(text));
+        assert!(Scenario::from_toml("[obstacle]\nposition = [0.1, 0.5]\n").is_ok(), "it stands");
     }
 
     #[test]

@@ -1,1 +1,10 @@
-//! Stub while the dependencies compile.
+//! What the whole-system tests share: the real programs, a path that loses datagrams, the Python
+//! peers, and the golden vectors.
+//!
+//! The tests themselves lie in `tests/`, what they do in Python in `python/`. Nothing here knows what
+//! a flight is.
+
+pub mod golden;
+pub mod program;
+pub mod python;
+pub mod relay;

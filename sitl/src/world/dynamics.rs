@@ -39,7 +39,7 @@ pub fn step(state: State, a: Vector2<f64>, kick: Vector2<f64>, dynamics: &Dynami
     if dynamics.walls { contain(moved) } else { moved }
 }
 
-/// The box [0,1]²: an axis beyond it is clipped and its outward velocity is zeroed (our choice).
+/// The box `[0, 1]²`: an axis beyond it is clipped and its outward velocity is zeroed (our choice).
 #[must_use]
 pub fn contain(mut state: State) -> State {
     for axis in 0..2 {

@@ -1,0 +1,432 @@
+//! The UDP shell that flies a station: percept in, command out, until the last tick.
+//!
+//! The same loop serves a vehicle in lockstep and one in real time. What comes late or not at all
+//! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
+//! away. Knows no controller: the station is a function.
+
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Context, Result, bail};
+use sitl::Scenario;
+use sitl::link::decoder::Counts;
+use sitl::link::endpoint::Endpoint;
+use sitl::link::tlog::Tlog;
+use sitl::msg::{Command, Percept};
+use sitl::shell::Backoff;
+use sitl::units::Tick;
+use tokio::net::UdpSocket;
+use tokio::time::{Instant, interval, sleep};
+
+use crate::remote::{Event, Remote};
+
+/// The station's heartbeat.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// How often, and how far apart, the last percept is acknowledged: the vehicle does not answer.
+const FAREWELLS: (u32, Duration) = (4, Duration::from_millis(15));
+
+/// How to fly.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The flight ends with the percept of this tick; `None` flies until Ctrl-C.
+    pub ticks: Option<u64>,
+    /// Where to write the tlog.
+    pub tlog: Option<PathBuf>,
+    /// How long to wait for the first percept, and for any next one.
+    pub patience: Duration,
+    /// How long nothing at all may be heard once the link is up.
+    pub silence: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { ticks: None, tlog: None, patience: Duration::from_secs(30), silence: Duration::from_secs(5) }
+    }
+}
+
+/// Why a flight has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// After its last tick.
+    Over,
+    /// By Ctrl-C.
+    Interrupted,
+}
+
+/// A flight from the station's side.
+#[derive(Debug, Clone)]
+pub struct Flight {
+    /// Why it has ended.
+    pub ended: Ended,
+    /// The newest percept. After `ticks` it closes the last interval; the station has not been
+    /// asked for a command to it.
+    pub last: Option<Percept>,
+    /// From the last datagram of a percept to its command on the socket, one a percept, µs.
+    pub latencies_us: Vec<f64>,
+    /// From the first percept to the last.
+    pub wall: Duration,
+    /// How often the vehicle has asked again for a command.
+    pub repeats: u64,
+    /// What arrived.
+    pub packets: Counts,
+    /// Reports and pictures that did not fit.
+    pub misfits: u64,
+}
+
+/// Flies `station`, which is asked once for each percept, in the order of ticks.
+pub async fn fly(
+    connect: &Endpoint,
+    scenario: &Scenario,
+    options: &Options,
+    mut station: impl FnMut(&Percept) -> Command,
+) -> Result<Flight> {
+    let mut shell = Shell::open(connect, scenario, options).await?;
+    let mut beat = interval(HEARTBEAT);
+    let mut resend = Backoff::default();
+    let mut buffer = vec![0; 65_536];
+    loop {
+        shell.check()?;
+        tokio::select! {
+            received = shell.socket.recv_from(&mut buffer) => {
+                let arrived = Instant::now();
+                let Some((length, from)) = heard(received).await else { continue };
+                for event in shell.datagram(&buffer[..length], from)? {
+                    match event {
+                        Event::Percept(percept) => {
+                            shell.percept(&percept, arrived);
+                            if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
+                                return shell.over(percept).await;
+                            }
+                            let command = shell.remote.command(&station(&percept));
+                            shell.send(&command).await?;
+                            shell.flight.last = Some(percept);
+                            shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                            resend = Backoff::default();
+                        }
+                        Event::Repeat(_) => {
+                            shell.flight.repeats += 1;
+                            shell.repeat().await?;
+                        }
+                        Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    }
+                }
+            }
+            () = resend.elapsed() => {
+                shell.repeat().await?;
+                resend.lengthen();
+            }
+            _ = beat.tick() => shell.beat().await?,
+            _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted),
+        }
+    }
+}
+
+/// Errors of a UDP socket are about earlier sendings ("connection refused"): the vehicle may come yet.
+async fn heard(received: io::Result<(usize, SocketAddr)>) -> Option<(usize, SocketAddr)> {
+    match received {
+        Ok(found) => Some(found),
+        Err(error) => {
+            tracing::debug!("receiving: {error}");
+            sleep(Duration::from_millis(1)).await;
+            None
+        }
+    }
+}
+
+/// Socket, peer and log of a flight.
+struct Shell<'a> {
+    connect: &'a Endpoint,
+    options: &'a Options,
+    socket: UdpSocket,
+    peer: Option<SocketAddr>,
+    remote: Remote,
+    tlog: Option<Tlog<BufWriter<File>>>,
+    first_percept: Option<Instant>,
+    last_percept: Instant,
+    last_heard: Option<Instant>,
+    interval_s: f64,
+    flight: Flight,
+}
+
+impl<'a> Shell<'a> {
+    async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
+        let tlog = match &options.tlog {
+            Some(path) => {
+                let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
+                Some(Tlog::new(BufWriter::new(file)))
+            }
+            None => None,
+        };
+        let (socket, peer) = connect.open().await?;
+        Ok(Self {
+            connect,
+            options,
+            socket,
+            peer,
+            remote: Remote::new(scenario),
+            tlog,
+            first_percept: None,
+            last_percept: Instant::now(),
+            last_heard: None,
+            interval_s: scenario.scale.interval_s,
+            flight: Flight {
+                ended: Ended::Over,
+                last: None,
+                latencies_us: Vec::new(),
+                wall: Duration::ZERO,
+                repeats: 0,
+                packets: Counts::default(),
+                misfits: 0,
+            },
+        })
+    }
+
+    /// A clear word instead of waiting for ever.
+    fn check(&self) -> Result<()> {
+        let (connect, waited) = (self.connect, self.last_percept.elapsed());
+        if self.last_heard.is_some_and(|at| at.elapsed() > self.options.silence) {
+            let tick = self
+                .remote
+                .newest()
+                .map_or("before the first percept".into(), |t| format!("at tick {}", t.0));
+            bail!("{connect}: the link is silent for {} s {tick}", self.options.silence.as_secs_f64());
+        }
+        if waited <= self.options.patience {
+            return Ok(());
+        }
+        let seconds = self.options.patience.as_secs_f64();
+        match (self.remote.system(), self.remote.newest()) {
+            (None, _) => bail!("{connect}: no MAVLink vehicle heard for {seconds} s; is sitl running there?"),
+            (Some(system), None) => bail!(
+                "{connect}: vehicle {system} talks, but no report with a picture came for {seconds} s \
+                 ({} did not fit: is its control interval {} s?)",
+                self.remote.misfits(),
+                self.interval_s
+            ),
+            (Some(system), Some(tick)) => {
+                bail!("{connect}: vehicle {system} sent no new percept for {seconds} s after tick {}", tick.0)
+            }
+        }
+    }
+
+    fn datagram(&mut self, bytes: &[u8], from: SocketAddr) -> Result<Vec<Event>> {
+        let events = self.remote.datagram(bytes);
+        let heard = self.remote.take_heard();
+        if !heard.is_empty() {
+            self.last_heard = Some(Instant::now());
+            // Who listens answers to where the vehicle speaks from.
+            if self.connect.direction == sitl::link::endpoint::Direction::In {
+                self.peer = Some(from);
+            }
+        }
+        if let Some(tlog) = &mut self.tlog {
+            let now = SystemTime::now();
+            for packet in &heard {
+                tlog.frame(&packet.raw, now).context("writing the tlog")?;
+            }
+        }
+        Ok(events)
+    }
+
+    fn percept(&mut self, percept: &Percept, arrived: Instant) {
+        let first = *self.first_percept.get_or_insert(arrived);
+        self.last_percept = arrived;
+        self.flight.wall = arrived - first;
+        tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// Something is missing.
+    async fn repeat(&mut self) -> Result<()> {
+        for datagram in self.remote.repeat() {
+            self.send(&datagram).await?;
+        }
+        Ok(())
+    }
+
+    async fn beat(&mut self) -> Result<()> {
+        let datagram = self.remote.heartbeat();
+        self.send(&datagram).await
+    }
+
+    async fn send(&mut self, datagram: &[u8]) -> Result<()> {
+        let Some(peer) = self.peer else { return Ok(()) };
+        if let Some(tlog) = &mut self.tlog {
+            tlog.datagram(datagram, SystemTime::now()).context("writing the tlog")?;
+        }
+        if let Err(error) = self.socket.send_to(datagram, peer).await {
+            tracing::debug!(%peer, "sending: {error}");
+        }
+        Ok(())
+    }
+
+    /// The last percept is here: says so often enough for a path that loses datagrams.
+    async fn over(mut self, percept: Percept) -> Result<Flight> {
+        let (times, pause) = FAREWELLS;
+        for k in 0..times {
+            if k > 0 {
+                sleep(pause).await;
+            }
+            let datagram = self.remote.acknowledgement(percept.telemetry.tick);
+            self.send(&datagram).await?;
+        }
+        self.flight.last = Some(percept);
+        self.end(Ended::Over)
+    }
+
+    fn end(mut self, ended: Ended) -> Result<Flight> {
+        if let Some(tlog) = &mut self.tlog {
+            tlog.flush().context("writing the tlog")?;
+        }
+        let (packets, misfits) = (self.remote.counts(), self.remote.misfits());
+        Ok(Flight { ended, packets, misfits, ..self.flight })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::Sim;
+    use sitl::msg::TxPower;
+    use sitl::vehicle::Vehicle;
+
+    use super::*;
+
+    const TICKS: u64 = 30;
+    const TIMEOUT: Duration = Duration::from_secs(60);
+
+    fn endpoint(text: &str) -> Endpoint {
+        text.parse().unwrap()
+    }
+
+    fn station(percept: &Percept) -> Command {
+        let [north, east] = percept.telemetry.position;
+        let power = if percept.telemetry.tick.0.is_multiple_of(3) { TxPower::High } else { TxPower::Low };
+        Command { tick: percept.telemetry.tick, accel: [(north * 7.0).sin(), (east * 7.0).cos()], power }
+    }
+
+    fn direct() -> Vec<Percept> {
+        let mut sim = Sim::new(Scenario::default(), 3);
+        let mut percepts = vec![sim.percept()];
+        for k in 0..TICKS as usize {
+            sim.handle(station(&percepts[k]));
+            sim.advance();
+            percepts.push(sim.percept());
+        }
+        percepts
+    }
+
+    /// A vehicle on a free port; gives its address.
+    async fn vehicle(lockstep: bool) -> SocketAddr {
+        let (socket, _) = endpoint("udpin:127.0.0.1:0").open().await.unwrap();
+        let address = socket.local_addr().unwrap();
+        let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
+        tokio::spawn(async move {
+            let mut shell = sitl::shell::Shell::new(socket, vehicle, None);
+            if lockstep { shell.lockstep().await } else { shell.real_time(Duration::from_millis(10)).await }
+        });
+        address
+    }
+
+    /// A relay to `vehicle` that loses every n-th datagram; gives the address to connect to.
+    async fn relay(vehicle: SocketAddr, n: u64) -> SocketAddr {
+        let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let address = socket.local_addr().unwrap();
+        tokio::spawn(async move {
+            let (mut buffer, mut station, mut count) = (vec![0; 65_536], None, 0_u64);
+            while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+                count += 1;
+                let to = if from == vehicle {
+                    station
+                } else {
+                    station = Some(from);
+                    Some(vehicle)
+                };
+                if let Some(to) = to.filter(|_| !count.is_multiple_of(n)) {
+                    let _ = socket.send_to(&buffer[..length], to).await;
+                }
+            }
+        });
+        address
+    }
+
+    async fn flown(address: SocketAddr, options: &Options) -> (Vec<Percept>, Flight) {
+        let mut percepts = Vec::new();
+        let connect = endpoint(&format!("udpout:{address}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, options, |percept| {
+            percepts.push(percept.clone());
+            station(percept)
+        });
+        let flight = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap();
+        percepts.extend(flight.last.clone());
+        (percepts, flight)
+    }
+
+    fn options() -> Options {
+        Options { ticks: Some(TICKS), ..Options::default() }
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_udp_is_the_flight_in_process() {
+        let (percepts, flight) = flown(vehicle(true).await, &options()).await;
+        assert_eq!(percepts, direct());
+        assert_eq!(flight.ended, Ended::Over);
+        assert_eq!(flight.latencies_us.len(), TICKS as usize);
+        assert_eq!(flight.misfits, 0);
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_a_lossy_path_is_the_flight_in_process() {
+        let address = relay(vehicle(true).await, 7).await;
+        let (percepts, _) = flown(address, &options()).await;
+        assert_eq!(percepts, direct());
+    }
+
+    #[tokio::test]
+    async fn real_time_flies_to_its_end() {
+        let (percepts, _) = flown(vehicle(false).await, &options()).await;
+        assert_eq!(percepts.last().map(|p| p.telemetry.tick), Some(Tick(TICKS)));
+    }
+
+    #[tokio::test]
+    async fn the_log_holds_both_directions() {
+        let path = std::env::temp_dir().join(format!("fly-{}.tlog", std::process::id()));
+        let options = Options { tlog: Some(path.clone()), ..options() };
+        flown(vehicle(true).await, &options).await;
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let (mut at, mut systems, mut last) = (0, std::collections::BTreeSet::new(), 0);
+        while at < bytes.len() {
+            let time = u64::from_be_bytes(bytes[at..at + 8].try_into().unwrap());
+            assert!(time >= last && bytes[at + 8] == 0xFD);
+            last = time;
+            systems.insert(bytes[at + 13]);
+            at += 8 + 12 + usize::from(bytes[at + 9]);
+        }
+        assert_eq!(systems.into_iter().collect::<Vec<_>>(), [1, 255]);
+    }
+
+    #[tokio::test]
+    async fn nobody_there_is_said_in_one_line() {
+        let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let connect = endpoint(&format!("udpout:{}", silent.local_addr().unwrap()));
+        let options = Options { patience: Duration::from_millis(200), ..Options::default() };
+        let error = fly(&connect, &Scenario::default(), &options, station).await.unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{connect}: no MAVLink vehicle heard")), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_link_that_falls_silent_is_told_with_its_tick() {
+        let target = vehicle(true).await;
+        let cut = relay(target, u64::MAX).await;
+        let options = Options { silence: Duration::from_millis(300), ..Options::default() };
+        // The vehicle's flight is over after its last tick, and then it falls silent.
+        let connect = endpoint(&format!("udpout:{cut}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, &options, station);
+        let error = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap_err().to_string();
+        assert!(error.ends_with(&format!("silent for 0.3 s at tick {TICKS}")), "{error}");
+    }
+}

@@ -1,0 +1,68 @@
+//! Who decides: one controller a file, and one `match` that hands out what each may see.
+
+pub mod crpl;
+pub mod rcc;
+pub mod reactive;
+pub mod ucc;
+
+use std::sync::Arc;
+
+use clap::ValueEnum;
+use model::policy::Policies;
+use model::world_model::WorldModel;
+use serde::{Deserialize, Serialize};
+use sitl::Scenario;
+use sitl::msg::{Motion, Telemetry, TxPower};
+
+use crate::belief::Belief;
+use reactive::Present;
+
+/// The controllers by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Controller {
+    /// Predictive control in latent space, from pictures alone
+    Crpl,
+    /// Reactive constrained control, from present telemetry
+    Rcc,
+    /// Unconstrained communication control, from present telemetry
+    Ucc,
+}
+
+impl std::fmt::Display for Controller {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Crpl => "crpl",
+            Self::Rcc => "rcc",
+            Self::Ucc => "ucc",
+        })
+    }
+}
+
+/// A controller with its state.
+#[derive(Debug, Clone)]
+pub enum Pilot {
+    /// Sees pictures, through the world model.
+    Crpl(Arc<Policies>),
+    /// Sees present telemetry.
+    Rcc(rcc::Rcc),
+    /// Sees present telemetry.
+    Ucc(ucc::Ucc),
+}
+
+impl Pilot {
+    /// Motion and power for the interval that begins.
+    pub fn decide(
+        &mut self,
+        world: &WorldModel,
+        belief: &Belief,
+        telemetry: &Telemetry,
+        scenario: &Scenario,
+    ) -> (Motion, TxPower) {
+        match self {
+            Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
+            Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),
+            Self::Ucc(ucc) => ucc.decide(&Present::of(telemetry, scenario), scenario),
+        }
+    }
+}

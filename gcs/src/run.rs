@@ -1,0 +1,209 @@
+//! The folder that a flight leaves behind: records, tlog, plot, and beside them the resolved config,
+//! seed and revision; and the summary that is printed.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use model::policy::Policies;
+use model::world_model::WorldModel;
+use serde::Serialize;
+use sitl::Scenario;
+use sitl::radio::Fates;
+use sitl::record::{Metrics, Record};
+
+use crate::fly::Flight;
+use crate::lab::figures;
+use crate::pilot::{Controller, Pilot, rcc, ucc};
+use crate::station::Station;
+
+/// The trained things that a station needs.
+#[derive(Debug, Clone)]
+pub struct Brain {
+    /// The world model, which encodes every picture.
+    pub world: Arc<WorldModel>,
+    /// A policy file instead of the shipped ones.
+    pub policy: Option<PathBuf>,
+}
+
+impl Brain {
+    /// The shipped world model and policies, or those in `checkpoint` and `policy`.
+    pub fn load(checkpoint: Option<&Path>, policy: Option<PathBuf>) -> Result<Self> {
+        let world = match checkpoint {
+            Some(dir) => WorldModel::load(dir)?,
+            None => WorldModel::embedded()?,
+        };
+        Ok(Self { world: Arc::new(world), policy })
+    }
+
+    /// A pilot for this scenario.
+    pub fn pilot(&self, controller: Controller, scenario: &Scenario) -> Result<Pilot> {
+        Ok(match controller {
+            Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
+            Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
+            Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),
+        })
+    }
+
+    fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+        if let Some(path) = &self.policy {
+            return Ok(Policies::load(path)?);
+        }
+        let number = scenario.number().with_context(|| {
+            let o = scenario.obstacle.position;
+            format!(
+                "no shipped policy knows an obstacle at ({}, {}): train one with `model optimise \
+                 --scenario-file` and give it by --policy",
+                o.x, o.y
+            )
+        })?;
+        Ok(Policies::shipped(number)?)
+    }
+
+    /// A station that flies `controller`.
+    pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
+        Ok(Station::new(scenario.clone(), self.world.clone(), self.pilot(controller, scenario)?))
+    }
+}
+
+/// One flight in figures.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// Who flew.
+    pub controller: Controller,
+    /// The scenario's name.
+    pub scenario: String,
+    /// Seed of the disturbance; `None` if the vehicle was not started by us.
+    pub seed: Option<u64>,
+    /// The paper's metrics.
+    #[serde(flatten)]
+    pub metrics: Metrics,
+    /// What became of the commands.
+    pub commands: Fates,
+    /// Intervals of which no percept arrived.
+    pub missed: u64,
+    /// From a complete percept to its command on the socket.
+    pub latency_ms: Latency,
+    /// Simulated over real time.
+    pub real_time_factor: f64,
+}
+
+/// Percentiles, ms.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Latency {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+impl Summary {
+    /// The summary of a flight over a link; `None` if no interval was flown.
+    #[must_use]
+    pub fn of(controller: Controller, seed: Option<u64>, station: &Station, flight: &Flight) -> Option<Self> {
+        let scenario = station.scenario();
+        let metrics = station.metrics()?;
+        let mut sorted = flight.latencies_us.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |q: f64| {
+            let rank = (q * sorted.len() as f64).ceil() as usize;
+            sorted.get(rank.saturating_sub(1)).map_or(f64::NAN, |us| us / 1e3)
+        };
+        let simulated = metrics.ticks as f64 * scenario.scale.interval_s;
+        Some(Self {
+            controller,
+            scenario: scenario.name.clone(),
+            seed,
+            metrics,
+            commands: station.fates(),
+            missed: station.missed(),
+            latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
+            real_time_factor: simulated / flight.wall.as_secs_f64(),
+        })
+    }
+}
+
+/// Where a result comes from.
+#[derive(Debug, Serialize)]
+struct Provenance<'a> {
+    controller: Controller,
+    seed: Option<u64>,
+    revision: String,
+    version: &'static str,
+    command: Vec<String>,
+    summary: &'a Summary,
+}
+
+/// Writes the resolved scenario, before the flight begins.
+pub fn begin(dir: &Path, scenario: &Scenario) -> Result<PathBuf> {
+    std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
+    let path = dir.join("config.toml");
+    std::fs::write(&path, toml::to_string(scenario)?)
+        .with_context(|| format!("writing {}", path.display()))?;
+    Ok(path)
+}
+
+/// Writes records, plot and provenance once the flight is over.
+pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenario) -> Result<()> {
+    write_records(&dir.join("record.jsonl"), records)?;
+    let title = format!("{}, {}, d_f {:.3}", summary.controller, scenario.name, summary.metrics.d_f);
+    figures::path(dir, &title, records, scenario)?;
+    let provenance = Provenance {
+        controller: summary.controller,
+        seed: summary.seed,
+        revision: sitl::revision(),
+        version: env!("CARGO_PKG_VERSION"),
+        command: std::env::args().collect(),
+        summary,
+    };
+    let path = dir.join("run.json");
+    let text = serde_json::to_string_pretty(&provenance)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+}
+
+/// One line per interval.
+pub fn write_records(path: &Path, records: &[Record]) -> Result<()> {
+    let context = || format!("writing {}", path.display());
+    let mut file = std::io::BufWriter::new(std::fs::File::create(path).with_context(context)?);
+    for record in records {
+        serde_json::to_writer(&mut file, record).with_context(context)?;
+        file.write_all(b"\n").with_context(context)?;
+    }
+    file.flush().with_context(context)
+}
+
+/// Flights side by side, for people.
+#[must_use]
+pub fn table(flights: &[Summary]) -> String {
+    type Cell = fn(&Summary) -> String;
+    let rows: [(&str, Cell); 16] = [
+        ("reached the goal", |f| if f.metrics.reached { "yes" } else { "no" }.into()),
+        ("d_f     terminal distance to the goal", |f| format!("{:.4}", f.metrics.d_f)),
+        ("E_comm  transmit energy", |f| format!("{:.0}", f.metrics.e_comm)),
+        ("E_ctrl  propulsion energy, J", |f| format!("{:.0}", f.metrics.e_ctrl)),
+        ("p_coll  largest collision probability", |f| format!("{:.4}", f.metrics.p_coll_max)),
+        ("T_out   intervals in outage", |f| format!("{} of {}", f.metrics.t_out, f.metrics.ticks)),
+        ("commands sent", |f| f.commands.sent.to_string()),
+        ("  delivered in their interval", |f| f.commands.delivered.to_string()),
+        ("  delayed", |f| f.commands.delayed.to_string()),
+        ("  superseded", |f| f.commands.superseded.to_string()),
+        ("  lost", |f| f.commands.lost.to_string()),
+        ("percepts missed", |f| f.missed.to_string()),
+        ("picture to command, median, ms", |f| format!("{:.3}", f.latency_ms.p50)),
+        ("picture to command, p99, ms", |f| format!("{:.3}", f.latency_ms.p99)),
+        ("times real time", |f| format!("{:.0}", f.real_time_factor)),
+        ("seed", |f| f.seed.map_or("-".into(), |s| s.to_string())),
+    ];
+    let mut text = format!("{:<40}", flights.first().map_or("", |f| f.scenario.as_str()));
+    for flight in flights {
+        text += &format!("{:>12}", flight.controller.to_string());
+    }
+    for (name, cell) in rows {
+        text += &format!("\n{name:<40}");
+        for flight in flights {
+            text += &format!("{:>12}", cell(flight));
+        }
+    }
+    text + "\n"
+}

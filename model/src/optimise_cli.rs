@@ -1,0 +1,204 @@
+//! `model optimise`: Algorithm 1 on a trained world model, shown as it runs, resumable.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use model::crpl::Estimate;
+use model::optimise::{
+    self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
+};
+use model::policy::Policies;
+use model::world_model::WorldModel;
+use serde::Serialize;
+use sitl::Scenario;
+
+/// Optimise π_s and π_p in latent space for one scenario.
+#[derive(Debug, clap::Args)]
+pub struct Optimise {
+    /// The paper's scenario: 1, obstacle beside the direct path, or 2, in it.
+    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: u8,
+    /// A scenario of one's own (TOML), instead of the paper's.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    scenario_file: Option<PathBuf>,
+    /// What differs from Algorithm 1's defaults (TOML).
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Seed of weights, rollouts and starts.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Folder for the policies.
+    #[arg(long, value_name = "DIR", default_value = "runs/policy")]
+    out: PathBuf,
+    /// Go on with a run that was stopped.
+    #[arg(long)]
+    resume: bool,
+    /// Print the outcome as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What stands beside the policies.
+#[derive(Debug, Serialize)]
+struct Sheet<'a> {
+    scenario: &'a Scenario,
+    seed: u64,
+    revision: String,
+    config: &'a OptimiseConfig,
+    outcome: &'a Outcome,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Optimise) -> Result<()> {
+    let scenario = match &args.scenario_file {
+        Some(path) => Scenario::load(path)?,
+        None => Scenario::numbered(args.scenario)?,
+    };
+    let config = match &args.config {
+        Some(path) => {
+            let text =
+                std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+            toml::from_str(&text).with_context(|| format!("reading {}", path.display()))?
+        }
+        None => OptimiseConfig::default(),
+    };
+    config.check()?;
+    let world = match &args.checkpoint {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
+    let name = scenario.number().map_or("policy".to_owned(), |n| format!("policy_s{n}"));
+    let saved = args.out.join(format!("{name}.progress.json"));
+    let begun = if args.resume { read_progress(&saved)? } else { None };
+
+    let started = Instant::now();
+    let stage = Stage::of(&world, &scenario, &config, args.seed)?;
+    let mut show = Show::new(&config, saved.clone(), begun.as_ref());
+    let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
+    show.bar.finish_and_clear();
+    write(
+        &args.out,
+        &name,
+        &policies,
+        &Sheet {
+            scenario: &scenario,
+            seed: args.seed,
+            revision: sitl::revision(),
+            config: &config,
+            outcome: &outcome,
+        },
+    )?;
+    std::fs::remove_file(&saved).with_context(|| format!("removing {}", saved.display()))?;
+    let wall_s = started.elapsed().as_secs_f64();
+    if args.json {
+        let iterations = optimise::total_iterations(&config);
+        let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,
+            "iterations": iterations, "wall_s": wall_s, "out": args.out});
+        println!("{line:#}");
+    } else {
+        let o = &outcome;
+        println!(
+            "P_safe {:.4}, P_comm {:.4} at full power, J {:.4}",
+            o.motion.p_safe, o.motion.p_comm, o.motion.j
+        );
+        println!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
+        println!("{wall_s:.1} s; {}", args.out.join(format!("{name}.safetensors")).display());
+    }
+    Ok(())
+}
+
+fn read_progress(path: &Path) -> Result<Option<Progress>> {
+    match std::fs::read_to_string(path) {
+        Ok(text) => {
+            Ok(Some(serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?))
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => bail!("reading {}: {error}", path.display()),
+    }
+}
+
+fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Result<()> {
+    policies.save(&out.join(format!("{name}.safetensors")))?;
+    let path = out.join(format!("{name}.json"));
+    let text = serde_json::to_string_pretty(sheet)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+}
+
+/// Progress bar, log of the phases, saved progress.
+struct Show {
+    bar: ProgressBar,
+    saved: PathBuf,
+    last: Option<(Estimate, f64)>,
+}
+
+impl Show {
+    fn new(config: &OptimiseConfig, saved: PathBuf, begun: Option<&Progress>) -> Self {
+        let bar = ProgressBar::new(optimise::total_iterations(config) as u64);
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of {duration}  {msg}")
+        {
+            bar.set_style(style);
+        }
+        bar.set_position(begun.map_or(0, |p| p.iterations(config)) as u64);
+        Self { bar, saved, last: None }
+    }
+}
+
+impl Watch for Show {
+    fn iteration(&mut self, phase: &str, done: usize, of: usize, e: &Estimate, norm: f64) {
+        self.bar.inc(1);
+        if done.is_multiple_of(25) || done == of {
+            self.bar.set_message(format!(
+                "{phase}: J {:.3}, P_safe {:.3}, P_comm {:.3}",
+                e.j, e.p_safe, e.p_comm
+            ));
+        }
+        self.last = Some((*e, norm));
+        if phase.starts_with("stage 2") && done == of {
+            self.bar.suspend(|| {
+                tracing::info!("{phase}: {done} iterations (cap), |grad| {norm:.2e}, P_comm {:.4}", e.p_comm)
+            });
+        }
+    }
+
+    fn phase_done(&mut self, phase: &str, progress: &Progress) -> Result<(), OptimiseError> {
+        if let Some((e, norm)) = self.last {
+            self.bar.suspend(|| {
+                tracing::info!(
+                    "{phase}: cap reached, J {:.4}, cost {:.4}, P_safe {:.4}, P_comm {:.4}, |grad| {norm:.2e}",
+                    e.j, e.cost, e.p_safe, e.p_comm
+                );
+            });
+        }
+        let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", self.saved.display()));
+        let text = serde_json::to_string(progress).map_err(|e| failed(e.to_string()))?;
+        // Written aside and renamed, so that an interruption leaves the old or the new file whole.
+        let aside = self.saved.with_extension("tmp");
+        std::fs::write(&aside, text).map_err(|e| failed(e.to_string()))?;
+        std::fs::rename(&aside, &self.saved).map_err(|e| failed(e.to_string()))
+    }
+
+    fn compared(&mut self, c: &Comparison) {
+        self.bar.suspend(|| {
+            tracing::info!(
+                "below J {:.4} (P_safe {:.4}, P_comm {:.4}), above J {:.4} (P_safe {:.4}, P_comm {:.4}) \
+                 on {} rollouts: margin {:+.4} +- {:.4}, {}",
+                c.below.j,
+                c.below.p_safe,
+                c.below.p_comm,
+                c.above.j,
+                c.above.p_safe,
+                c.above.p_comm,
+                c.rollouts,
+                c.margin,
+                c.margin_se,
+                if c.chosen == Side::Below { "below it is" } else { "above it is" }
+            );
+        });
+    }
+}

@@ -1,0 +1,33 @@
+//! Bytes: MAVLink 2 in datagrams, for the vehicle's side and for the ground station's.
+//!
+//! The only place that names the `mavlink` crate. Knows no physics, no socket but the one that
+//! [`endpoint::Endpoint::open`] makes, and no clock. What a packet from the network contains is data:
+//! a bad one is counted ([`decoder::Counts`]) and never an error.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`decoder`] | datagrams to packets, through garbage, bad CRCs and frames cut in two |
+//! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
+//! | [`wire`] | the table "our message, theirs", both directions |
+//! | [`image`] | a frame as PNG over the image transmission protocol |
+//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:HOST:PORT` |
+//! | [`tlog`] | the log that every MAVLink tool reads |
+
+pub mod decoder;
+pub mod encoder;
+pub mod endpoint;
+pub mod image;
+pub mod tlog;
+pub mod wire;
+
+/// The dialect that both programs speak.
+pub use mavlink::dialects::common as dialect;
+
+/// Component id of the autopilot (MAV_COMP_ID_AUTOPILOT1).
+pub const AUTOPILOT: u8 = 1;
+/// Component id of the radio (MAV_COMP_ID_TELEMETRY_RADIO).
+pub const RADIO: u8 = 68;
+/// System id of the ground station.
+pub const STATION_SYSTEM: u8 = 255;
+/// Component id of the ground station (MAV_COMP_ID_MISSIONPLANNER, as ground stations do).
+pub const STATION_COMPONENT: u8 = 190;

@@ -1,0 +1,158 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::link::decoder::Decoder;
+
+fn clock() -> Clock {
+    Clock::new(&Scenario::default())
+}
+
+fn packets(report: &Telemetry) -> Vec<Packet> {
+    let mut datagram = Vec::new();
+    let (mut autopilot, mut radio) = (Encoder::new(7, AUTOPILOT), Encoder::new(7, RADIO));
+    push_telemetry(report, &clock(), &mut autopilot, &mut radio, &mut datagram);
+    Decoder::default().datagram(&datagram)
+}
+
+fn read(packets: &[Packet]) -> Vec<Telemetry> {
+    let mut reader = TelemetryReader::default();
+    packets.iter().filter_map(|packet| reader.push(packet, &clock())).collect()
+}
+
+fn report(tick: u64) -> Telemetry {
+    Telemetry {
+        tick: Tick(tick),
+        position: [250.1, 50.2],
+        velocity: [-1.5, 12.25],
+        obstacle: [225.0, 250.0],
+        held: Some(Held { tick: Tick(tick - 1), accel: [10.9375, -0.0] }),
+        link: Some(LinkReport { snr_db: -3.21, power: TxPower::High, outage: true }),
+    }
+}
+
+prop_compose! {
+    fn any_report()(
+        tick in 0..1_000_000_u64,
+        values in prop::array::uniform9(prop::num::f32::NORMAL | prop::num::f32::ZERO),
+        behind in prop::option::of(0..100_u64),
+        high: bool,
+        outage: bool,
+    ) -> Telemetry {
+        let [x, y, vx, vy, ox, oy, ax, ay, snr_db] = values;
+        let power = if high { TxPower::High } else { TxPower::Low };
+        Telemetry {
+            tick: Tick(tick),
+            position: [x, y],
+            velocity: [vx, vy],
+            obstacle: [ox, oy],
+            held: behind.map(|b| Held { tick: Tick(tick.saturating_sub(b)), accel: [ax, ay] }),
+            link: (tick > 0).then_some(LinkReport { snr_db, power, outage }),
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn a_report_arrives_to_the_last_bit(report in any_report()) {
+        let found = read(&packets(&report));
+        // Debug text tells -0 from 0, which == does not.
+        prop_assert_eq!(format!("{:?}", found), format!("{:?}", [report]));
+    }
+
+    #[test]
+    fn a_command_arrives_to_the_last_bit(
+        tick in 0..1_000_000_u64,
+        accel in prop::array::uniform2(prop::num::f32::NORMAL | prop::num::f32::ZERO),
+        high: bool,
+    ) {
+        let power = if high { TxPower::High } else { TxPower::Low };
+        let command = Command { tick: Tick(tick), accel, power };
+        let mut datagram = Vec::new();
+        push_command(&command, &clock(), 7, &mut Encoder::new(255, 190), &mut datagram);
+        let [first, second] = &Decoder::default().datagram(&datagram)[..] else { panic!("two messages") };
+        let ask = ask_of(first).unwrap();
+        prop_assert_eq!(ask.command, CMD_TX_POWER);
+        prop_assert_eq!(ask.target, Target { system: 7, component: RADIO });
+        prop_assert_eq!(TxPower::from_level(ask.params[0]), Ok(power));
+        prop_assert_eq!(ask.params[1], clock().boot_ms(Tick(tick)) as f32);
+        let (target, setpoint) = setpoint_of(second).unwrap();
+        prop_assert_eq!(target, Target { system: 7, component: AUTOPILOT });
+        let setpoint = setpoint.unwrap();
+        prop_assert_eq!(setpoint.accel.map(f32::to_bits), accel.map(f32::to_bits));
+        prop_assert_eq!(clock().tick(setpoint.stamp_ms), Some(Tick(tick)));
+    }
+
+    #[test]
+    fn packets_full_of_junk_never_panic(
+        id in prop::sample::select(vec![32_u32, 84, 85, 76, 75, 250, 251, 130, 131, 23, 20]),
+        payload in prop::collection::vec(any::<u8>(), 0..=255),
+    ) {
+        let mut raw = vec![0xFD, payload.len() as u8, 0, 0, 0, 1, 1, id as u8, 0, 0];
+        raw.extend_from_slice(&payload);
+        raw.extend([0, 0]);
+        let packet = Packet { system: 1, component: 1, sequence: 0, id, raw };
+        let _ = setpoint_of(&packet);
+        let _ = ask_of(&packet);
+        let _ = packet.message();
+        prop_assert!(TelemetryReader::default().push(&packet, &clock()).is_none());
+    }
+}
+
+#[test]
+fn a_report_with_a_message_missing_is_none_and_no_two_are_mixed() {
+    let (first, second) = (packets(&report(5)), packets(&report(6)));
+    for missing in 0..6 {
+        let mut found = first.clone();
+        found.remove(missing);
+        assert_eq!(read(&found), []);
+        assert_eq!(read(&[&found[..], &second].concat()), [report(6)], "without message {missing}");
+    }
+    // The first report's beginning, the second one's end.
+    for cut in 1..6 {
+        assert_eq!(read(&[&first[..cut], &second[cut..]].concat()), [], "cut at {cut}");
+    }
+}
+
+#[test]
+fn stamps_of_another_clock_name_no_tick() {
+    let clock = clock();
+    assert_eq!(clock.tick(clock.boot_ms(Tick(0))), Some(Tick(0)));
+    assert_eq!(clock.tick(0), None);
+    assert_eq!(clock.tick(clock.boot_ms(Tick(3)) + 1), None);
+}
+
+fn setpoint(change: impl FnOnce(&mut dialect::SET_POSITION_TARGET_LOCAL_NED_DATA)) -> Packet {
+    let mut message = dialect::SET_POSITION_TARGET_LOCAL_NED_DATA {
+        afx: 1.0,
+        type_mask: PositionTargetTypemask::from_bits_retain(MASK_ACCEL),
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    change(&mut message);
+    let mut datagram = Vec::new();
+    Encoder::new(255, 190).push(&mut datagram, &message);
+    Decoder::default().datagram(&datagram).remove(0)
+}
+
+#[test]
+fn setpoints_are_taken_or_refused_for_a_reason() {
+    let mask = |bits| {
+        move |m: &mut dialect::SET_POSITION_TARGET_LOCAL_NED_DATA| {
+            m.type_mask = PositionTargetTypemask::from_bits_retain(bits);
+        }
+    };
+    let verdict = |packet: Packet| setpoint_of(&packet).unwrap().1;
+    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0] });
+    assert_eq!(verdict(setpoint(|_| {})), good);
+    assert_eq!(verdict(setpoint(|m| (m.x, m.yaw) = (f32::NAN, f32::NAN))), good);
+    assert_eq!(verdict(setpoint(mask(0x3F))), good, "yaw is not flown");
+    assert_eq!(verdict(setpoint(mask(MASK_ACCEL | 0xF000))), good, "bits without a meaning");
+    assert_eq!(verdict(setpoint(mask(0x0DFF))), Err(Refusal::NotAcceleration));
+    assert_eq!(verdict(setpoint(mask(0x0D3F))), Err(Refusal::NotAcceleration), "one axis ignored");
+    assert_eq!(verdict(setpoint(mask(0))), Err(Refusal::NotAcceleration), "a position too");
+    assert_eq!(verdict(setpoint(mask(MASK_ACCEL | 512))), Err(Refusal::Force));
+    assert_eq!(verdict(setpoint(|m| m.afy = f32::NAN)), Err(Refusal::NotFinite));
+    assert_eq!(verdict(setpoint(|m| m.afz = f32::INFINITY)), Err(Refusal::NotFinite));
+    let other = setpoint(|m| m.coordinate_frame = MavFrame::MAV_FRAME_LOCAL_ENU);
+    assert_eq!(verdict(other), Err(Refusal::Frame));
+}

@@ -1,0 +1,244 @@
+//! The simulated vehicle as MAVLink peers see it: an autopilot (component 1) and its radio (68).
+//!
+//! A state machine around [`Sim`]: datagrams go in, datagrams come out, the caller says when a
+//! control interval passes and what time it is. Knows no socket and no clock. It is in GUIDED mode,
+//! armed and in the air from the start, with ArduCopter's mode numbers.
+//!
+//! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
+//! peer that has spoken; pictures to those that asked for them by the image protocol.
+
+mod commands;
+mod streams;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use crate::link::decoder::{Counts, Decoder};
+use crate::link::dialect::MavSeverity;
+use crate::link::encoder::Encoder;
+use crate::link::wire::{Clock, Refusal};
+use crate::link::{AUTOPILOT, RADIO};
+use crate::sim::Sim;
+use crate::units::Tick;
+
+/// Peers that are served at a time; the one silent for longest makes room for a new one.
+const MAX_PEERS: usize = 16;
+/// Least time between two texts of one kind.
+const TEXT_PAUSE: Duration = Duration::from_secs(1);
+
+/// A vehicle in flight.
+#[derive(Debug)]
+pub struct Vehicle {
+    sim: Sim,
+    clock: Clock,
+    system: u8,
+    ticks: Option<u64>,
+    peers: BTreeMap<SocketAddr, Peer>,
+    outbox: VecDeque<(SocketAddr, Vec<u8>)>,
+    /// This tick's picture, once somebody wanted it.
+    png: Option<Vec<u8>>,
+    /// How often this tick's percept has been sent to all.
+    sendings: usize,
+    begun: bool,
+    ready: bool,
+    acknowledged: bool,
+    /// Newest time stamp of a power command, boot ms.
+    newest_power: Option<f32>,
+    said: BTreeMap<&'static str, Duration>,
+    tally: Tally,
+}
+
+/// What the vehicle made of the messages addressed to it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Tally {
+    /// Frames, and what was none.
+    pub packets: Counts,
+    /// Setpoints taken.
+    pub setpoints: u64,
+    /// Setpoints older than the newest one: late or repeated.
+    pub stale: u64,
+    /// Setpoints not taken.
+    pub refused: BTreeMap<Refusal, u64>,
+    /// Commands that it does not know.
+    pub unsupported: u64,
+}
+
+impl std::fmt::Display for Tally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} setpoints, {} stale", self.setpoints, self.stale)?;
+        for (refusal, count) in &self.refused {
+            write!(f, ", {count} x {refusal}")?;
+        }
+        write!(f, "; {} unsupported commands; {}", self.unsupported, self.packets)
+    }
+}
+
+/// Somebody to talk to.
+#[derive(Debug)]
+struct Peer {
+    decoder: Decoder,
+    autopilot: Encoder,
+    radio: Encoder,
+    images: bool,
+    /// Named by configuration: never makes room for others.
+    fixed: bool,
+    heard: Duration,
+}
+
+impl Peer {
+    fn new(system: u8, fixed: bool, now: Duration) -> Self {
+        Self {
+            decoder: Decoder::default(),
+            autopilot: Encoder::new(system, AUTOPILOT),
+            radio: Encoder::new(system, RADIO),
+            images: false,
+            fixed,
+            heard: now,
+        }
+    }
+}
+
+impl Vehicle {
+    /// A vehicle with this system id whose flight ends after `ticks` intervals, if given.
+    #[must_use]
+    pub fn new(sim: Sim, system: u8, ticks: Option<u64>) -> Self {
+        Self {
+            clock: Clock::new(sim.scenario()),
+            sim,
+            system,
+            ticks,
+            peers: BTreeMap::new(),
+            outbox: VecDeque::new(),
+            png: None,
+            sendings: 0,
+            begun: false,
+            ready: false,
+            acknowledged: false,
+            newest_power: None,
+            said: BTreeMap::new(),
+            tally: Tally::default(),
+        }
+    }
+
+    /// A peer that is spoken to before it has spoken.
+    pub fn add_peer(&mut self, address: SocketAddr, now: Duration) {
+        self.peers.insert(address, Peer::new(self.system, true, now));
+        self.greet(address);
+    }
+
+    /// A datagram has arrived.
+    pub fn datagram(&mut self, bytes: &[u8], from: SocketAddr, now: Duration) {
+        let known = self.peers.remove(&from);
+        let is_new = known.is_none();
+        let mut peer = known.unwrap_or_else(|| Peer::new(self.system, false, now));
+        let before = peer.decoder.counts();
+        let packets = peer.decoder.datagram(bytes);
+        // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
+        // hears MAVLink 2.
+        if is_new && packets.is_empty() && peer.decoder.counts().mavlink1 == 0 {
+            self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
+            return;
+        }
+        if before != peer.decoder.counts() {
+            tracing::trace!(%from, "{}", peer.decoder.counts());
+        }
+        if is_new {
+            self.make_room();
+        }
+        peer.heard = now;
+        self.peers.insert(from, peer);
+        if is_new {
+            self.greet(from);
+            self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
+        }
+        for packet in &packets {
+            self.packet(packet, from, now);
+        }
+    }
+
+    /// The next datagram to send, and where to.
+    pub fn poll(&mut self) -> Option<(SocketAddr, Vec<u8>)> {
+        self.outbox.pop_front()
+    }
+
+    /// Whether a setpoint for this very tick has arrived.
+    #[must_use]
+    pub fn ready(&self) -> bool {
+        self.ready && !self.over()
+    }
+
+    /// Whether any setpoint has arrived: the flight begins with the first.
+    #[must_use]
+    pub fn begun(&self) -> bool {
+        self.begun
+    }
+
+    /// Whether the flight has had all its intervals.
+    #[must_use]
+    pub fn over(&self) -> bool {
+        self.ticks.is_some_and(|ticks| self.sim.tick() >= Tick(ticks))
+    }
+
+    /// Whether a station has confirmed the last percept, by a setpoint with its time stamp.
+    #[must_use]
+    pub fn acknowledged(&self) -> bool {
+        self.acknowledged
+    }
+
+    /// One control interval passes; the percept at its end goes to all peers.
+    pub fn advance(&mut self, now: Duration) {
+        let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
+        self.sim.advance();
+        (self.ready, self.png, self.sendings) = (false, None, 0);
+        let after = self.sim.telemetry().link.is_some_and(|link| link.outage);
+        let tick = self.sim.tick();
+        match (before, after) {
+            (false, true) => self.say(
+                "outage begins",
+                MavSeverity::MAV_SEVERITY_WARNING,
+                &format!("outage begins before tick {}", tick.0),
+                now,
+            ),
+            (true, false) => self.say(
+                "outage ends",
+                MavSeverity::MAV_SEVERITY_NOTICE,
+                &format!("outage ends before tick {}", tick.0),
+                now,
+            ),
+            _ => {}
+        }
+        if self.over() {
+            let text = format!("flight over after {} ticks", tick.0);
+            self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
+        }
+        self.send_percept();
+    }
+
+    /// The simulator inside.
+    #[must_use]
+    pub fn sim(&self) -> &Sim {
+        &self.sim
+    }
+
+    /// What was made of the messages so far.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        let packets = self.peers.values().map(|peer| peer.decoder.counts());
+        Tally { packets: packets.fold(self.tally.packets, Counts::plus), ..self.tally.clone() }
+    }
+
+    fn make_room(&mut self) {
+        if self.peers.len() < MAX_PEERS {
+            return;
+        }
+        let quietest = self.peers.iter().filter(|(_, peer)| !peer.fixed).min_by_key(|(_, peer)| peer.heard);
+        if let Some(address) = quietest.map(|(&address, _)| address)
+            && let Some(gone) = self.peers.remove(&address)
+        {
+            self.tally.packets = self.tally.packets.plus(gone.decoder.counts());
+        }
+    }
+}

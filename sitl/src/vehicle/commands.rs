@@ -1,0 +1,225 @@
+//! What the vehicle answers: setpoints, commands, the radio's parameter, image requests, echoes.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use mavlink::MessageData;
+
+use super::Vehicle;
+use crate::link::decoder::Packet;
+use crate::link::dialect::{self, MavParamType, MavProtocolCapability, MavResult, MavSeverity};
+use crate::link::image::{self, Handshake, Wish};
+use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
+use crate::link::{AUTOPILOT, RADIO};
+use crate::msg::{Command, TxPower};
+
+/// The radio's only parameter: its transmit power, 1 or 4.
+const PARAM_TX_POWER: &str = "RADIO_TXP";
+const CMD_REQUEST_MESSAGE: u16 = 512;
+const CMD_REQUEST_CAPABILITIES: u16 = 520;
+
+impl Vehicle {
+    pub(super) fn packet(&mut self, packet: &Packet, from: SocketAddr, now: Duration) {
+        // Our own frames, sent back by a loop in somebody's routing.
+        if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO) {
+            return;
+        }
+        let asker = (packet.system, packet.component);
+        let fields = packet.fields();
+        if let Some((target, setpoint)) = wire::setpoint_of(packet) {
+            if target.is(self.system, AUTOPILOT) {
+                self.setpoint(setpoint, now);
+            }
+        } else if let Some(ask) = wire::ask_of(packet) {
+            self.ask(&ask, asker, from);
+        } else if let Some(handshake) = Handshake::of(packet) {
+            self.image_wish(handshake.wish(), from, now);
+        } else {
+            let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
+            match packet.id {
+                dialect::PARAM_SET_DATA::ID if self.radio_is_meant(target(4)) => {
+                    self.param_set(&fields.text(6, 16), fields.f32(0));
+                }
+                dialect::PARAM_REQUEST_READ_DATA::ID if self.radio_is_meant(target(2)) => {
+                    let index = fields.u16(0) as i16;
+                    if index == 0 || (index == -1 && fields.text(4, 16) == PARAM_TX_POWER) {
+                        self.param_value();
+                    }
+                }
+                dialect::PARAM_REQUEST_LIST_DATA::ID if self.radio_is_meant(target(0)) => self.param_value(),
+                dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
+                    let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
+                    let (target_system, target_component) = asker;
+                    let ts1 = fields.u64(8) as i64;
+                    self.reply(
+                        from,
+                        &dialect::TIMESYNC_DATA { tc1: boot_ns, ts1, target_system, target_component },
+                    );
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now.
+    fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, now: Duration) {
+        let Setpoint { stamp_ms, accel } = match setpoint {
+            Ok(setpoint) => setpoint,
+            Err(refusal) => return self.refuse(refusal, now),
+        };
+        let current = self.sim.tick();
+        let stamped = self.clock.tick(stamp_ms).filter(|&tick| tick <= current);
+        if self.over() {
+            self.acknowledged |= stamped == Some(current);
+            return;
+        }
+        let tick = stamped.unwrap_or(current);
+        if tick == current {
+            self.tally.setpoints += 1;
+            self.ready = true;
+        } else {
+            self.tally.stale += 1;
+        }
+        self.begun = true;
+        self.sim.handle(Command { tick, accel, power: self.sim.power() });
+    }
+
+    fn refuse(&mut self, refusal: Refusal, now: Duration) {
+        *self.tally.refused.entry(refusal).or_default() += 1;
+        let kind = match refusal {
+            Refusal::Frame => "refused frame",
+            Refusal::NotAcceleration => "refused mask",
+            Refusal::Force => "refused force",
+            Refusal::NotFinite => "refused value",
+        };
+        self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
+    }
+
+    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr) {
+        let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
+        match ask.command {
+            CMD_TX_POWER if to_radio => {
+                let result = self.tx_power(ask.params);
+                self.ack(ask.command, result, RADIO, asker, from);
+            }
+            CMD_REQUEST_MESSAGE if to_autopilot => {
+                let known = ask.params[0] == dialect::AUTOPILOT_VERSION_DATA::ID as f32;
+                let result =
+                    if known { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED };
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
+                if known {
+                    self.reply(from, &version(self.system));
+                }
+            }
+            CMD_REQUEST_CAPABILITIES if to_autopilot => {
+                self.ack(ask.command, MavResult::MAV_RESULT_ACCEPTED, AUTOPILOT, asker, from);
+                self.reply(from, &version(self.system));
+            }
+            _ if to_autopilot || to_radio => {
+                self.tally.unsupported += 1;
+                let component = if to_autopilot { AUTOPILOT } else { RADIO };
+                self.ack(ask.command, MavResult::MAV_RESULT_UNSUPPORTED, component, asker, from);
+            }
+            _ => {}
+        }
+    }
+
+    /// param1 is the level; param2 the boot ms of the command's tick, or 0. A late duplicate of an
+    /// older command must not undo a newer one.
+    fn tx_power(&mut self, [level, stamp]: [f32; 2]) -> MavResult {
+        let Ok(power) = TxPower::from_level(level) else { return MavResult::MAV_RESULT_DENIED };
+        let now = self.clock.boot_ms(self.sim.tick()) as f32;
+        if stamp > 0.0 && stamp <= now {
+            if self.newest_power.is_some_and(|newest| stamp < newest) {
+                return MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
+            }
+            self.newest_power = Some(stamp);
+        }
+        self.sim.set_power(power);
+        MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    fn param_set(&mut self, name: &str, value: f32) {
+        if name != PARAM_TX_POWER {
+            return;
+        }
+        if let Ok(power) = TxPower::from_level(value) {
+            self.sim.set_power(power);
+        }
+        self.param_value();
+    }
+
+    /// Tells everybody the parameter's value, as the parameter protocol wants it.
+    fn param_value(&mut self) {
+        let value = dialect::PARAM_VALUE_DATA {
+            param_value: self.sim.power().level() as f32,
+            param_count: 1,
+            param_index: 0,
+            param_id: PARAM_TX_POWER.into(),
+            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+        };
+        for (&address, peer) in &mut self.peers {
+            let mut datagram = Vec::new();
+            peer.radio.push(&mut datagram, &value);
+            self.outbox.push_back((address, datagram));
+        }
+    }
+
+    fn image_wish(&mut self, wish: Wish, from: SocketAddr, now: Duration) {
+        let Some(peer) = self.peers.get_mut(&from) else { return };
+        match wish {
+            Wish::Start => {
+                let is_new = !peer.images;
+                peer.images = true;
+                if is_new {
+                    self.send_image(from);
+                }
+            }
+            Wish::Stop => {
+                peer.images = false;
+                let mut datagram = Vec::new();
+                image::push_stopped(&mut peer.autopilot, &mut datagram);
+                self.outbox.push_back((from, datagram));
+            }
+            Wish::OtherType(kind) => {
+                let text = format!("image type {kind} refused: only PNG (5)");
+                self.say("image type", MavSeverity::MAV_SEVERITY_WARNING, &text, now);
+            }
+            Wish::NoRequest => {}
+        }
+    }
+
+    fn autopilot_is_meant(&self, target: Target) -> bool {
+        target.is(self.system, AUTOPILOT)
+    }
+
+    fn radio_is_meant(&self, target: Target) -> bool {
+        target.is(self.system, RADIO)
+    }
+
+    fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let mut datagram = Vec::new();
+        peer.autopilot.push(&mut datagram, message);
+        self.outbox.push_back((to, datagram));
+    }
+
+    fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: SocketAddr) {
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let encoder = if component == RADIO { &mut peer.radio } else { &mut peer.autopilot };
+        let mut datagram = Vec::new();
+        encoder.push_ack(&mut datagram, command, result, asker);
+        self.outbox.push_back((to, datagram));
+    }
+}
+
+fn version(system: u8) -> dialect::AUTOPILOT_VERSION_DATA {
+    dialect::AUTOPILOT_VERSION_DATA {
+        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+        uid: u64::from(system),
+        ..Default::default()
+    }
+}

@@ -1,0 +1,229 @@
+//! The real programs: built once with the profile of the tests, started, listened to, and stopped.
+//!
+//! `cargo test` builds no program of another package by itself, so the first test that needs one asks
+//! cargo for all of them. A [`Program`] never outlives the test that started it.
+
+use std::io::{BufRead, BufReader, Read};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+
+/// Long enough for anything that a test waits for on a busy machine; reached only by a failure.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The folder of this profile's artefacts, such as `target/release`: the running test lies in its
+/// `deps`.
+pub fn profile_folder() -> Result<PathBuf> {
+    let test = std::env::current_exe().context("finding the running test")?;
+    let folder = test.ancestors().nth(2).context("the running test lies in no target folder")?;
+    Ok(folder.to_path_buf())
+}
+
+/// The program `name` (`sitl`, `gcs` or `model`), after a build if one is due. The build takes place
+/// once per test process, and cargo itself keeps processes apart.
+pub fn path(name: &str) -> Result<PathBuf> {
+    static BUILT: OnceLock<std::result::Result<PathBuf, String>> = OnceLock::new();
+    let folder =
+        BUILT.get_or_init(|| build().map_err(|e| format!("{e:#}"))).clone().map_err(|e| anyhow!(e))?;
+    let program = folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    if !program.is_file() {
+        bail!("cargo built no program {name} in {}", folder.display());
+    }
+    Ok(program)
+}
+
+/// Builds every program of the workspace and returns their folder.
+fn build() -> Result<PathBuf> {
+    let folder = profile_folder()?;
+    let target = folder.parent().context("the profile's folder has no parent")?;
+    let profile = match folder.file_name().and_then(|name| name.to_str()) {
+        Some("debug") => "dev",
+        Some(other) => other,
+        None => bail!("no profile in {}", folder.display()),
+    };
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    // With the tests among the targets, cargo resolves the same features as `cargo test` did, and
+    // nothing is compiled a second time.
+    let output = Command::new(cargo)
+        .args(["build", "--workspace", "--bins", "--tests", "--quiet", "--offline", "--profile", profile])
+        .arg("--target-dir")
+        .arg(target)
+        .current_dir(workspace())
+        .stdin(Stdio::null())
+        .output()
+        .context("starting cargo")?;
+    if !output.status.success() {
+        bail!("building the programs failed:\n{}", String::from_utf8_lossy(&output.stderr));
+    }
+    Ok(folder)
+}
+
+/// The root of the workspace.
+#[must_use]
+pub fn workspace() -> &'static Path {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    package.parent().unwrap_or(package)
+}
+
+/// What a program left behind.
+#[derive(Debug)]
+pub struct Finished {
+    /// How it ended.
+    pub status: ExitStatus,
+    /// All that it printed.
+    pub stdout: String,
+    /// All that it logged.
+    pub stderr: String,
+}
+
+impl Finished {
+    /// What was printed, if the program ended well; an error with all that it logged if not.
+    pub fn good(self) -> Result<String> {
+        if !self.status.success() {
+            bail!("ended with {}\nstdout:\n{}\nstderr:\n{}", self.status, self.stdout, self.stderr);
+        }
+        Ok(self.stdout)
+    }
+}
+
+/// A started program. Dropping it kills it.
+#[derive(Debug)]
+pub struct Program {
+    name: String,
+    child: Child,
+    stdout: Arc<Heard>,
+    stderr: Arc<Heard>,
+}
+
+impl Program {
+    /// Starts a program of the workspace in `folder`, or in the workspace's root.
+    pub fn start<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A], folder: Option<&Path>) -> Result<Self> {
+        let mut command = Command::new(path(name)?);
+        command.args(args).current_dir(folder.unwrap_or_else(|| workspace()));
+        Self::spawn(name, command)
+    }
+
+    /// Starts any command with its output caught.
+    pub fn spawn(name: &str, mut command: Command) -> Result<Self> {
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("starting {name}"))?;
+        let stdout = Heard::listen(child.stdout.take().context("stdout is piped")?);
+        let stderr = Heard::listen(child.stderr.take().context("stderr is piped")?);
+        Ok(Self { name: name.into(), child, stdout, stderr })
+    }
+
+    /// The first printed line that starts with `prefix`, without it.
+    pub fn line(&self, prefix: &str) -> Result<String> {
+        let found = self.stdout.wait(|lines| {
+            lines.iter().find_map(|line| line.strip_prefix(prefix)).map(|rest| rest.trim().to_owned())
+        });
+        found.with_context(|| {
+            let (stdout, stderr) = (self.stdout.text(), self.stderr.text());
+            format!("{} printed no line `{prefix}...`\nstdout:\n{stdout}\nstderr:\n{stderr}", self.name)
+        })
+    }
+
+    /// Waits for the program's own end.
+    pub fn wait(mut self) -> Result<Finished> {
+        let deadline = Instant::now() + PATIENCE;
+        let status = loop {
+            if let Some(status) =
+                self.child.try_wait().with_context(|| format!("waiting for {}", self.name))?
+            {
+                break status;
+            }
+            if Instant::now() > deadline {
+                let (stdout, stderr) = (self.stdout.text(), self.stderr.text());
+                bail!("{} does not end\nstdout:\n{stdout}\nstderr:\n{stderr}", self.name);
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        self.stdout.to_the_end();
+        self.stderr.to_the_end();
+        Ok(Finished { status, stdout: self.stdout.text(), stderr: self.stderr.text() })
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // Both fail only for a program that has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Runs a program of the workspace to its end.
+pub fn run<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
+    Program::start(name, args, None)?.wait()
+}
+
+/// Starts `sitl` on a port of the system's choice and returns it with its address.
+pub fn sitl(args: &[&str]) -> Result<(Program, SocketAddr)> {
+    let args: Vec<&str> = ["--listen", "udpin:127.0.0.1:0"].iter().chain(args).copied().collect();
+    let program = Program::start("sitl", &args, None)?;
+    let address = program.line("listening on udpin:")?;
+    let address = address.parse().with_context(|| format!("sitl listens on {address:?}"))?;
+    Ok((program, address))
+}
+
+/// Lines that a thread reads from a pipe, so that the program at its other end never waits.
+#[derive(Debug, Default)]
+struct Heard {
+    lines: Mutex<(Vec<String>, bool)>,
+    news: Condvar,
+}
+
+impl Heard {
+    fn listen(pipe: impl Read + Send + 'static) -> Arc<Self> {
+        let heard = Arc::new(Self::default());
+        let ear = Arc::clone(&heard);
+        std::thread::spawn(move || {
+            let mut reader = BufReader::new(pipe);
+            let mut bytes = Vec::new();
+            while reader.read_until(b'\n', &mut bytes).is_ok_and(|n| n > 0) {
+                ear.lock().0.push(String::from_utf8_lossy(&bytes).trim_end().to_owned());
+                ear.news.notify_all();
+                bytes.clear();
+            }
+            ear.lock().1 = true;
+            ear.news.notify_all();
+        });
+        heard
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (Vec<String>, bool)> {
+        self.lines.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until `look` finds something, the pipe ends or patience does.
+    fn wait<T>(&self, mut look: impl FnMut(&[String]) -> Option<T>) -> Option<T> {
+        let deadline = Instant::now() + PATIENCE;
+        let mut lines = self.lock();
+        loop {
+            if let Some(found) = look(&lines.0) {
+                return Some(found);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if lines.1 || left.is_zero() {
+                return None;
+            }
+            lines = self.news.wait_timeout(lines, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn to_the_end(&self) {
+        self.wait(|_| None::<()>);
+    }
+
+    fn text(&self) -> String {
+        self.lock().0.join("\n")
+    }
+}

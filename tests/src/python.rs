@@ -1,0 +1,62 @@
+//! The Python peers, which share none of our mistakes: a virtual environment that the tests make
+//! themselves, once, and the scripts of `tests/python`.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::program::{Finished, Program, profile_folder};
+
+/// The packages, each with its version.
+const REQUIREMENTS: &str = include_str!("../python/requirements.txt");
+
+/// The folder of the environment's programs. Made at the first call and kept beside the build; other
+/// tests and other processes wait meanwhile.
+pub fn environment() -> Result<PathBuf> {
+    let profile = profile_folder()?;
+    let home = profile.parent().context("the profile's folder has no parent")?.join("python");
+    fs::create_dir_all(&home).with_context(|| format!("making {}", home.display()))?;
+    let lock = File::create(home.join("lock")).context("making the environment's lock")?;
+    lock.lock().context("waiting for the environment's lock")?;
+
+    let (venv, made) = (home.join("venv"), home.join("made-of.txt"));
+    if !fs::read_to_string(&made).is_ok_and(|text| text == REQUIREMENTS) {
+        let requirements = home.join("requirements.txt");
+        fs::write(&requirements, REQUIREMENTS).context("writing the requirements")?;
+        checked(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&venv))?;
+        checked(
+            Command::new(venv.join("bin/python"))
+                .args(["-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check", "-r"])
+                .arg(&requirements),
+        )?;
+        fs::write(&made, REQUIREMENTS).context("noting what the environment is made of")?;
+    }
+    Ok(venv.join("bin"))
+}
+
+fn checked(command: &mut Command) -> Result<()> {
+    let output = command.output().with_context(|| format!("starting {command:?}"))?;
+    if !output.status.success() {
+        let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        bail!("{command:?} ended with {}\n{out}{err}", output.status);
+    }
+    Ok(())
+}
+
+/// Runs `tests/python/NAME` to its end.
+pub fn script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python").join(name);
+    let mut command = Command::new(environment()?.join("python"));
+    command.arg("-u").arg(script).args(args);
+    Program::spawn(name, command)?.wait()
+}
+
+/// What pymavlink's own `mavlogdump.py` prints of a tlog.
+pub fn mavlogdump(tlog: &Path) -> Result<String> {
+    let bin = environment()?;
+    let mut command = Command::new(bin.join("python"));
+    command.arg(bin.join("mavlogdump.py")).arg(tlog);
+    Program::spawn("mavlogdump.py", command)?.wait()?.good()
+}
