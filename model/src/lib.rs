@@ -11,30 +11,39 @@
 //! |---|---|---|
 //! | [`world_model`] | the learned world as one value | physics, link, policies |
 //! | [`infer`] | the flight path's encoder, plain Rust | burn |
-//! | [`jepa`] | the same encoder as a burn module, online and target | losses, data |
+//! | [`config`] | every number of the training | how it is done |
+//! | `jepa` | the same encoder as a burn module, online and target | losses, data |
 //! | [`weights`] | the encoder's numbers and its structured start | pictures |
 //! | [`closed_form`] | the latent heads by least squares | labels |
 //! | [`predictor`] | linear second-order steps of both halves | pictures, positions |
-//! | [`heads`] | collision probability and channel gain | the encoder's training |
+//! | [`heads`] | collision probability and channel gain: labels, measures | networks |
+//! | `heads_fit` | their training in burn | pictures |
 //! | [`probe`] | latents to positions, to measure and to draw | training |
 //! | [`dataset`] | episodes from the simulator's world | networks |
-//! | [`train`] | the recipe | flights |
+//! | `train` | the recipe | flights |
 //! | [`evaluate`] | what it is worth on held-out pictures | training |
 //! | [`policy`] | π_s and π_p, and how they are executed | positions, bandwidth |
 //! | [`crpl`] | J_η on latent rollouts, and its gradient | pictures |
 //! | [`optimise`] | Algorithm 1 | the simulator |
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
+//!
+//! `jepa`, `heads_fit` and `train` need burn: they come with the cargo feature `train`, which the
+//! `model` program has and a ground station does without.
 
 #![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
 
 pub mod checkpoint;
 pub mod closed_form;
+pub mod config;
 pub mod crpl;
 pub mod dataset;
 pub mod evaluate;
 pub mod heads;
+#[cfg(feature = "train")]
+pub mod heads_fit;
 pub mod infer;
+#[cfg(feature = "train")]
 pub mod jepa;
 pub mod kernel;
 pub mod mlp;
@@ -42,6 +51,7 @@ pub mod optimise;
 pub mod policy;
 pub mod predictor;
 pub mod probe;
+#[cfg(feature = "train")]
 pub mod train;
 pub mod weights;
 pub mod world_model;

@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
+use model::config::TrainConfig;
 use model::jepa::Backend;
-use model::train::{self, Run, TrainConfig};
+use model::train::{self, Run};
 use sitl::Scenario;
 
 /// The world model of CRPL: its data, its training.

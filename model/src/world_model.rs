@@ -10,12 +10,13 @@ use serde::{Deserialize, Serialize};
 use sitl::camera::Frame;
 
 use crate::checkpoint::{self, CheckpointError};
+use crate::config::TrainConfig;
+use crate::evaluate::Metrics;
 use crate::infer::Encoder;
 pub use crate::infer::Latent;
 use crate::mlp::Mlp;
 use crate::predictor::{Linear, Plane, Reduced};
 pub use crate::probe::{Affine, Probe};
-use crate::train::{Metrics, TrainConfig};
 use crate::weights::{LATENT, on_plane, vector};
 
 /// Everything that was learned of the world.

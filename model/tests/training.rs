@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use model::config::{DataConfig, PredictorConfig, TrainConfig};
 use model::evaluate::EvaluationConfig;
 use model::heads::HeadsConfig;
 use model::jepa::Backend;
-use model::train::{DataConfig, PredictorConfig, Run, TrainConfig, TrainError, train};
+use model::train::{Run, TrainError, train};
 use model::world_model::WorldModel;
 
 fn small() -> TrainConfig {

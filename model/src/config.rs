@@ -1,0 +1,199 @@
+//! Every number of the world model's training. `Default` is the shipped recipe; a file holds only
+//! what differs from it. Needs no burn, so the flight path can read a checkpoint's config.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::closed_form::ClosedForm;
+use crate::evaluate::EvaluationConfig;
+use crate::heads::HeadsConfig;
+
+/// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Seed of all random streams.
+    pub seed: u64,
+    /// What is flown to make the pictures.
+    pub data: DataConfig,
+    /// Pictures from which the latent heads are fitted: two sets of triples.
+    pub frames: usize,
+    /// Lags of the long triples, intervals, log-uniform.
+    pub long: [usize; 2],
+    /// Lags of the short triples, on which z_u is fitted.
+    pub short: [usize; 2],
+    /// Pictures a batch on the backend; more uses more memory, the result is the same.
+    pub batch: usize,
+    /// The encoder.
+    pub encoder: EncoderConfig,
+    /// The latent heads.
+    pub closed_form: ClosedForm,
+    /// The predictors.
+    pub predictor: PredictorConfig,
+    /// The risk and channel heads.
+    pub heads: HeadsConfig,
+    /// What is measured at the end.
+    pub evaluation: EvaluationConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            data: DataConfig::default(),
+            frames: 24_000,
+            long: [10, 48],
+            short: [4, 10],
+            batch: 64,
+            encoder: EncoderConfig::default(),
+            closed_form: ClosedForm::default(),
+            predictor: PredictorConfig::default(),
+            heads: HeadsConfig::default(),
+            evaluation: EvaluationConfig::default(),
+        }
+    }
+}
+
+/// What is flown to make the pictures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataConfig {
+    /// Episodes that begin anywhere.
+    pub episodes: usize,
+    /// Episodes that begin with a disc that the frame cuts.
+    pub edge_episodes: usize,
+    /// Actions an episode.
+    pub steps: usize,
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        Self { episodes: 1500, edge_episodes: 500, steps: 100 }
+    }
+}
+
+/// What is chosen about the encoder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EncoderConfig {
+    /// Dense noise beside the one channel that each output channel copies.
+    pub mix: f64,
+    /// Whether red and blue are divided by their own mass (centroids instead of moments).
+    pub normalise: [bool; 2],
+    /// Whether z_c's head reads q h beside h, q being the missing share of the UAV's mass: what is cut
+    /// lies outside the frame, which a centroid of the rest cannot tell.
+    pub gated: bool,
+    /// S, latent units of z_c per unit of length.
+    pub scale: f64,
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self { mix: 0.03, normalise: [true, true], gated: true, scale: 10.0 }
+    }
+}
+
+/// How the predictors are fitted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PredictorConfig {
+    /// Episodes that are encoded frame by frame.
+    pub episodes: usize,
+    /// Ridge to (2I, -I), relative to the largest diagonal entry.
+    pub ridge: f64,
+    /// Lag of the windows on which Ψ_ca is fitted, intervals. 1 is the one-step fit; over a longer lag
+    /// the action moves the UAV further and the pictures' error weighs less.
+    pub lag: usize,
+}
+
+impl Default for PredictorConfig {
+    fn default() -> Self {
+        Self { episodes: 400, ridge: 1e3, lag: 10 }
+    }
+}
+
+/// Why a training config could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The configuration does not parse.
+    #[error("reading {path}: {message}")]
+    Config {
+        /// The file.
+        path: PathBuf,
+        /// Line, key and reason.
+        message: String,
+    },
+    /// A value is out of range.
+    #[error("{key} = {value}: {must}")]
+    Range {
+        /// Dotted key.
+        key: &'static str,
+        /// The value found.
+        value: f64,
+        /// What it must be.
+        must: &'static str,
+    },
+}
+
+impl TrainConfig {
+    /// Reads a TOML file; keys that it leaves out keep their defaults.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let wrong = |message: String| ConfigError::Config { path: path.into(), message };
+        let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+        let config: Self = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Refuses values that make no sense.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let positive = "must be finite and above 0";
+        let counts = [
+            ("data.episodes", self.data.episodes),
+            ("frames", self.frames / 6),
+            ("batch", self.batch),
+            ("predictor.episodes", self.predictor.episodes),
+            ("predictor.lag", self.predictor.lag),
+            ("heads.frames", self.heads.frames),
+            ("heads.batch", self.heads.batch),
+            ("evaluation.frames", self.evaluation.frames),
+            ("evaluation.rollouts", self.evaluation.rollouts),
+            ("evaluation.horizon", self.evaluation.horizon),
+            ("closed_form.rounds", self.closed_form.rounds),
+        ];
+        if let Some((key, value)) = counts.into_iter().find(|(_, n)| *n == 0) {
+            return Err(ConfigError::Range { key, value: value as f64, must: positive });
+        }
+        let sizes = [
+            ("encoder.scale", self.encoder.scale),
+            ("closed_form.ridge_c", self.closed_form.ridge_c),
+            ("closed_form.ridge_u", self.closed_form.ridge_u),
+            ("closed_form.floor_u", self.closed_form.floor_u),
+            ("closed_form.keep", self.closed_form.keep),
+            ("predictor.ridge", self.predictor.ridge),
+            ("heads.learning_rate", self.heads.learning_rate),
+            ("heads.distance_floor", self.heads.distance_floor),
+        ];
+        if let Some((key, value)) = sizes.into_iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)) {
+            return Err(ConfigError::Range { key, value, must: positive });
+        }
+        if !(self.encoder.mix.is_finite() && self.encoder.mix >= 0.0) {
+            let must = "must be finite and not below 0";
+            return Err(ConfigError::Range { key: "encoder.mix", value: self.encoder.mix, must });
+        }
+        let lag = [1, self.predictor.lag];
+        for (key, lags) in [("long", self.long), ("short", self.short), ("predictor.lag", lag)] {
+            if !(1 <= lags[0] && lags[0] <= lags[1] && 2 * lags[1] <= self.data.steps) {
+                let must = "must rise from at least 1 to at most half of data.steps";
+                return Err(ConfigError::Range { key, value: lags[1] as f64, must });
+            }
+        }
+        if self.data.episodes + self.data.edge_episodes < self.predictor.episodes {
+            let must = "must not be more than data.episodes + data.edge_episodes";
+            let value = self.predictor.episodes as f64;
+            return Err(ConfigError::Range { key: "predictor.episodes", value, must });
+        }
+        Ok(())
+    }
+}
