@@ -165,7 +165,7 @@ pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noi
     }
 }
 
-/// y_c and y_u at the end of a rollout.
+/// y_c and y_u of a picture, or at the end of a rollout.
 type Ends = (Vector2<f64>, Vector2<f64>);
 
 /// Latent rollouts of the UAV from rest, and where both halves end.
@@ -221,7 +221,7 @@ fn last_scene(episode: &Episode) -> Scene {
 fn judge(
     model: &WorldModel,
     scenes: &[Scene],
-    seen: &[(Vector2<f64>, Vector2<f64>)],
+    seen: &[Ends],
     scenario: &Scenario,
     config: &HeadsConfig,
 ) -> HeadMetrics {

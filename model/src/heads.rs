@@ -41,7 +41,7 @@ pub struct HeadsConfig {
 
 impl Default for HeadsConfig {
     fn default() -> Self {
-        Self { frames: 24_000, steps: 6000, batch: 512, learning_rate: 1e-2, distance_floor: 0.02 }
+        Self { frames: 24_000, steps: 6000, batch: 512, learning_rate: 2e-2, distance_floor: 0.02 }
     }
 }
 

@@ -49,6 +49,9 @@ pub struct OptimiseConfig {
     pub displacements: Vec<f64>,
     /// Iterations at each η.
     pub stage1_iterations: usize,
+    /// A candidate and each η end with the mean of the weights of their last iterations, this many:
+    /// the last iterate alone carries the noise of one batch.
+    pub averaged_iterations: usize,
     /// μ, growth of η.
     pub barrier_growth: f64,
     /// ε_0: stage 1 ends when 1/η falls below it.
@@ -76,6 +79,7 @@ impl Default for OptimiseConfig {
             warm_iterations: [150, 75, 400],
             displacements: vec![0.22, 0.165, 0.11, 0.055],
             stage1_iterations: 400,
+            averaged_iterations: 100,
             barrier_growth: 2.0,
             barrier_end: 1e-3,
             comparison_rollouts: 65_536,
@@ -544,13 +548,50 @@ fn stretch(
 ) {
     let mut adam = Adam::new(net, config.learning_rate, config.gradient_clip);
     let setting = Setting { eta: phase.eta, power: 4.0, execution: Execution::Nearest };
+    // The short stretches past a displaced obstacle only lead the way: averaging would hold them back.
+    let averaged =
+        if phase.iterations >= 4 * config.averaged_iterations { config.averaged_iterations } else { 1 };
+    let first_averaged = phase.iterations.saturating_sub(averaged.max(1));
+    let mut mean = Mean::default();
     for i in 0..phase.iterations {
         let index = (number << 20) | i as u64;
         let draws =
             stage.draws(noise, Stream::Batches, index, config.rollouts, phase.obstacle, config.horizon);
         let (estimate, grad) = crpl::gradient(&stage.plant, &config.objective, setting, net, &draws);
         let norm = adam.descend(net, &grad);
+        if i >= first_averaged {
+            mean.add(net);
+        }
         watch.iteration(&phase.name, i + 1, phase.iterations, &estimate, norm);
+    }
+    if let Some(mean) = mean.net() {
+        *net = mean;
+    }
+}
+
+/// Running sum of a network's weights in f64.
+#[derive(Default)]
+struct Mean {
+    sums: Vec<f64>,
+    like: Option<Mlp>,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, net: &Mlp) {
+        let weights = net.layers.iter().flat_map(|l| l.w.iter().chain(&l.b));
+        self.sums.resize(weights.clone().count(), 0.0);
+        self.sums.iter_mut().zip(weights).for_each(|(s, w)| *s += f64::from(*w));
+        self.like.get_or_insert_with(|| net.clone());
+        self.count += 1.0;
+    }
+
+    /// The mean; `None` if nothing was added.
+    fn net(self) -> Option<Mlp> {
+        let mut net = self.like?;
+        let weights = net.layers.iter_mut().flat_map(|l| l.w.iter_mut().chain(&mut l.b));
+        weights.zip(self.sums).for_each(|(w, s)| *w = (s / self.count) as f32);
+        Some(net)
     }
 }
 

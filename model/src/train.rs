@@ -261,7 +261,7 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// The whole recipe. Writes the checkpoint and returns it.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
     config.check()?;
-    let (started, cpu_before) = (Instant::now(), cpu_seconds());
+    let (started, cpu_before, revision) = (Instant::now(), cpu_seconds(), sitl::revision());
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let stages = Stages::open(config, run)?;
@@ -361,7 +361,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> 
         evaluate::measure(&model, &config.evaluation, &config.heads, &scenario, &held_out, check);
     model.save(&run.out)?;
     let (wall, cpu) = (started.elapsed().as_secs_f64(), cpu_seconds() - cpu_before);
-    let card = card_text(&model, wall, cpu);
+    let card = card_text(&model, &revision, wall, cpu);
     checkpoint::write_all(&run.out.join(CARD), card.as_bytes())?;
     stages.remove()?;
     Ok(model)
@@ -644,7 +644,7 @@ pub fn cpu_seconds() -> f64 {
 }
 
 /// The card for people.
-fn card_text(model: &WorldModel, wall: f64, cpu: f64) -> String {
+fn card_text(model: &WorldModel, revision: &str, wall: f64, cpu: f64) -> String {
     let Card { backend, config, metrics, .. } = &model.card;
     let data = &config.data;
     format!(
@@ -660,7 +660,7 @@ fn card_text(model: &WorldModel, wall: f64, cpu: f64) -> String {
          Measured on held-out pictures (l1 errors, 1 px = 0.01 unit):\n\n```text\n{}```\n",
         model.encoder.weights().parameters(),
         config.seed,
-        sitl::revision(),
+        revision,
         data.episodes,
         data.edge_episodes,
         data.steps,

@@ -124,23 +124,161 @@ fn rollouts_are_scored_one_by_one_as_in_a_batch() {
     assert_eq!(all.cost[LANES..2 * LANES], one.cost[..]);
     assert!(all.safe.iter().all(|s| *s <= 1.0) && all.comm.iter().all(|s| (0.0..=1.0).contains(s)));
 }
+
+/// The same objective written in burn's tensors, differentiated by burn: the oracle of the
+/// hand-written reverse mode, straight-through actions included.
+mod by_autodiff {
+    use burn::tensor::activation::{sigmoid, softmax, tanh};
+    use burn::tensor::{Device, Tensor, TensorData};
+
+    use super::*;
+
+    fn matrix(values: &[f32], shape: [usize; 2], device: &Device) -> Tensor<2> {
+        Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+    }
+
+    fn lanes(draws: &[Draws], of: impl Fn(&Draws) -> [[f32; LANES]; 2], device: &Device) -> Tensor<2> {
+        let mut rows = Vec::new();
+        for d in draws {
+            let [x, y] = of(d);
+            rows.extend(x.iter().zip(y).flat_map(|(x, y)| [*x, y]));
+        }
+        matrix(&rows, [draws.len() * LANES, 2], device)
+    }
+
+    struct Net(Vec<(Tensor<2>, Tensor<2>)>);
+
+    impl Net {
+        fn new(net: &Mlp, learn: bool, device: &Device) -> Self {
+            let leaf = |t: Tensor<2>| if learn { t.require_grad() } else { t };
+            let layer = |l: &model::mlp::Dense| {
+                (
+                    leaf(matrix(&l.w, [l.inputs, l.outputs], device)),
+                    leaf(matrix(&l.b, [1, l.outputs], device)),
+                )
+            };
+            Self(net.layers.iter().map(layer).collect())
+        }
+
+        fn forward(&self, mut x: Tensor<2>) -> Tensor<2> {
+            for (n, (w, b)) in self.0.iter().enumerate() {
+                x = x.matmul(w.clone()) + b.clone();
+                if n + 1 < self.0.len() {
+                    x = tanh(x);
+                }
+            }
+            x
+        }
+    }
+
+    fn psi(m: &[[f32; 2]; 2], device: &Device) -> Tensor<2> {
+        // Row vectors: y' = y M^T.
+        matrix(&[m[0][0], m[1][0], m[0][1], m[1][1]], [2, 2], device)
+    }
+
+    /// J and its gradient, layer by layer, weights then biases. Limits: the predictor alone.
+    pub fn gradient(
+        plant: &Plant,
+        collision: &Mlp,
+        gain: &Mlp,
+        objective: &Objective,
+        eta: f64,
+        motion: &Mlp,
+        draws: &[Draws],
+    ) -> (f64, Vec<Vec<f32>>) {
+        let device = Device::flex().autodiff();
+        let (collision, gain) = (Net::new(collision, false, &device), Net::new(gain, false, &device));
+        let policy = Net::new(motion, true, &device);
+        let p: Vec<Tensor<2>> = plant.psi_c.iter().map(|m| psi(m, &device)).collect();
+        let actions = matrix(&[0., 0., 1., 0., -1., 0., 0., 1., 0., -1.], [5, 2], &device);
+        let goal = matrix(&plant.goal, [1, 2], &device);
+        let obstacle = lanes(draws, |d| d.obstacle[0], &device);
+        let (mut now, mut before) =
+            (lanes(draws, |d| d.start[0], &device), lanes(draws, |d| d.start[1], &device));
+        let [rollouts, _] = now.dims();
+        let (scale, horizon) = (plant.scale, draws[0].wind.len());
+        let mut cost = Tensor::<2>::zeros([rollouts, 1], &device);
+        let mut risks = Vec::new();
+        let mut connected = Tensor::<2>::zeros([rollouts, 1], &device);
+        for k in 0..horizon {
+            let x = Tensor::cat(
+                vec![
+                    now.clone() * (2.0 / scale),
+                    (now.clone() - before.clone()) / (scale * plant.v_max),
+                    obstacle.clone() * 0.5,
+                ],
+                1,
+            );
+            let relaxed = softmax(policy.forward(x), 1).matmul(actions.clone());
+            let values: Vec<f32> = relaxed.clone().into_data().try_to_vec::<f32>().expect("floats");
+            let nearest: Vec<f32> = values
+                .chunks_exact(2)
+                .flat_map(|w| {
+                    let v =
+                        sitl::msg::Motion::nearest(nalgebra::Vector2::new(f64::from(w[0]), f64::from(w[1])))
+                            .vector();
+                    [v.x as f32, v.y as f32]
+                })
+                .collect();
+            let nearest = matrix(&nearest, [rollouts, 2], &device);
+            let action = relaxed.clone() + (nearest - relaxed).detach();
+            let log_gain = gain.forward(Tensor::cat(vec![now.clone(), obstacle.clone()], 1));
+            let ratio = log_gain.exp() * (4.0 / objective.snr_min);
+            let outage = sigmoid((ratio.neg() + 1.0) * objective.alpha);
+            connected = connected + outage.neg() + 1.0;
+            let wind = lanes(draws, |d| d.wind[k], &device);
+            let next = now.clone().matmul(p[0].clone())
+                + before.matmul(p[1].clone())
+                + (action.clone() + wind).matmul(p[2].clone());
+            cost = cost
+                + (next.clone() - goal.clone()).square().sum_dim(1)
+                    * (objective.lambda_goal / f64::from(scale).powi(2))
+                + action.square().sum_dim(1) * objective.lambda_motion
+                + objective.lambda_power * 16.0;
+            risks.push(sigmoid(collision.forward(Tensor::cat(vec![next.clone(), obstacle.clone()], 1))));
+            before = now;
+            now = next;
+        }
+        let safe = Tensor::cat(risks, 1).neg() + 1.0;
+        let least = safe.clone().min_dim(1).detach();
+        let safe =
+            least.clone() - ((safe - least).neg() * objective.beta).exp().sum_dim(1).log() / objective.beta;
+        let (w, _) = crpl::barrier_weight(eta, objective.barrier_residual);
+        let log = |p: Tensor<1>, tolerance: f64| (p - 1.0 + tolerance).log();
+        let j = cost.mean()
+            - (log(safe.mean(), objective.collision_tolerance)
+                + log((connected / horizon as f64).mean(), objective.outage_tolerance))
+                * w;
+        let value = f64::from(j.clone().into_scalar::<f32>());
+        let grads = j.backward();
+        let of =
+            |t: &Tensor<2>| t.grad(&grads).expect("a leaf").into_data().try_to_vec::<f32>().expect("floats");
+        (value, policy.0.iter().flat_map(|(w, b)| [of(w), of(b)]).collect())
+    }
+}
+
 #[test]
-fn timing_tmp() {
-    let mut rng = ChaCha8Rng::seed_from_u64(6);
-    let plant = plant(Limits::Walls, &mut rng);
-    let draws = draws(2, 100, &mut rng);
-    let motion = Policies::untrained(&mut rng).motion;
+fn gradient_agrees_with_autodiff() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut collision = net(&[4, 64, 64, 1], 3.0, &mut rng);
+    collision.layers[2].b[0] = -3.0;
+    let gain = net(&[4, 64, 64, 1], 1.0, &mut rng);
+    let mut plant = plant(Limits::Plain, &mut rng);
+    plant.collision = Head::new(collision.clone()).expect("a head's widths");
+    plant.gain = Head::new(gain.clone()).expect("a head's widths");
+    let draws = draws(2, 12, &mut rng);
+    let objective =
+        Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
+    let mut motion = Policies::untrained(&mut rng).motion;
+    motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    for _ in 0..3 {
-        let t = std::time::Instant::now();
-        for _ in 0..20 {
-            let _ = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
-        }
-        eprintln!("eval {:?}", t.elapsed() / 20);
-        let t = std::time::Instant::now();
-        for _ in 0..20 {
-            let _ = crpl::gradient(&plant, &Objective::default(), setting, &motion, &draws);
-        }
-        eprintln!("grad {:?}", t.elapsed() / 20);
+    let (estimate, by_hand) = crpl::gradient(&plant, &objective, setting, &motion, &draws);
+    let (j, oracle) = by_autodiff::gradient(&plant, &collision, &gain, &objective, 1.0, &motion, &draws);
+    assert!((estimate.j - j).abs() < 1e-4 * j.abs().max(1.0), "J {} by hand, {j} by autodiff", estimate.j);
+    let by_hand: Vec<&Vec<f32>> = by_hand.layers.iter().flat_map(|l| [&l.w, &l.b]).collect();
+    for (n, (hand, auto)) in by_hand.iter().zip(&oracle).enumerate() {
+        let scale = auto.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        let worst = hand.iter().zip(auto).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!(scale > 0.0 && worst < 1e-3 * scale, "tensor {n}: off by {worst} of {scale}");
     }
 }

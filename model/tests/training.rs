@@ -12,7 +12,7 @@ fn small() -> TrainConfig {
     TrainConfig {
         seed: 4,
         data: DataConfig { episodes: 60, edge_episodes: 20, steps: 100 },
-        frames: 1800,
+        frames: 3600,
         predictor: PredictorConfig { episodes: 6, ..PredictorConfig::default() },
         heads: HeadsConfig { frames: 300, steps: 40, batch: 32, ..HeadsConfig::default() },
         evaluation: EvaluationConfig { frames: 300, rollouts: 30, horizon: 100 },
