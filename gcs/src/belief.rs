@@ -120,10 +120,11 @@ impl Ledger {
             self.flown = Some(held);
         }
         // Rule `drop`: what was on the air in an outage is gone, unless the vehicle flies it yet.
-        if self.rule == Rule::Drop && telemetry.link.is_some_and(|link| link.outage) {
-            if let Some((_, fate)) = self.open.range_mut(..telemetry.tick).next_back() {
-                *fate = Fate::Lost;
-            }
+        if self.rule == Rule::Drop
+            && telemetry.link.is_some_and(|link| link.outage)
+            && let Some((_, fate)) = self.open.range_mut(..telemetry.tick).next_back()
+        {
+            *fate = Fate::Lost;
         }
     }
 

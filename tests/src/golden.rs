@@ -118,6 +118,83 @@ impl Params {
     }
 }
 
+/// Flights without disturbance, with packet loss, of a reference's controllers.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Flights {
+    /// The order of events in a step, for the reader of the file.
+    pub doc: String,
+    /// Parameters of all flights.
+    pub params: Params,
+    /// The flights.
+    pub traces: Vec<Flight>,
+}
+
+/// A flight: what was asked, what was flown and what came of it in each of H steps.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(non_snake_case, reason = "the names of the reference files")]
+pub struct Flight {
+    /// S1 or S2.
+    pub scenario: String,
+    /// RCC, UCC or APC.
+    pub controller: String,
+    /// B Δt
+    pub B_dt: f64,
+    /// 0
+    pub sigma_c: f64,
+    /// Its scores.
+    pub metrics: FlightMetrics,
+    /// The obstacle.
+    pub r_u: [f64; 2],
+    /// r_0..r_H
+    pub r: Vec<[f64; 2]>,
+    /// v_0..v_{H-1}
+    pub v: Vec<[f64; 2]>,
+    /// What the controller asked for.
+    pub a_commanded: Vec<[f64; 2]>,
+    /// What was flown.
+    pub a_applied: Vec<[f64; 2]>,
+    /// Transmit power.
+    pub a_p: Vec<f64>,
+    /// γ_k
+    pub snr: Vec<f64>,
+    /// Whether the packet was lost.
+    pub outage: Vec<bool>,
+    /// Collision probability after the step.
+    pub p_coll: Vec<f64>,
+}
+
+/// Scores of a [`Flight`]; those that our records do not have are left out.
+#[derive(Debug, Deserialize)]
+#[expect(non_snake_case, reason = "the names of the reference files")]
+#[expect(missing_docs, reason = "the metrics of sitl::record::Metrics")]
+pub struct FlightMetrics {
+    pub d_f: f64,
+    pub E_comm: f64,
+    pub E_ctrl: f64,
+    pub p_coll_max: f64,
+    pub N_out: f64,
+}
+
+impl Flight {
+    /// The scenario that it was flown in.
+    #[must_use]
+    pub fn scenario(&self, params: &Params) -> Scenario {
+        let mut scenario = params.scenario();
+        scenario.obstacle.position = vector(self.r_u);
+        scenario.radio.b_dt = self.B_dt;
+        scenario.disturbance.sigma_c = self.sigma_c;
+        scenario
+    }
+
+    /// What to call it in a failure.
+    #[must_use]
+    pub fn name(&self) -> String {
+        format!("{} {} at B dt {}", self.scenario, self.controller, self.B_dt)
+    }
+}
+
 /// A pair of the files as a vector.
 #[must_use]
 pub fn vector([x, y]: [f64; 2]) -> Vector2<f64> {

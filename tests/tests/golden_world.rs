@@ -8,7 +8,7 @@ use sitl::record::{Metrics, Record};
 use sitl::scenario::Rule;
 use sitl::units::{Snr, Tick};
 use sitl::world::{World, channel, dynamics, energy, safety};
-use tests::golden::{Params, Table, assert_close, assert_vector_close, read, vector};
+use tests::golden::{Flight, Flights, Table, assert_close, assert_vector_close, read, vector};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,44 +157,6 @@ fn nearest_action() {
     }
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Flights {
-    #[serde(rename = "doc")]
-    _doc: String,
-    params: Params,
-    traces: Vec<Flight>,
-}
-
-#[derive(Deserialize)]
-#[expect(non_snake_case, reason = "the names of the reference files")]
-struct Flight {
-    scenario: String,
-    controller: String,
-    B_dt: f64,
-    sigma_c: f64,
-    metrics: FlightMetrics,
-    r_u: [f64; 2],
-    r: Vec<[f64; 2]>,
-    v: Vec<[f64; 2]>,
-    a_commanded: Vec<[f64; 2]>,
-    a_applied: Vec<[f64; 2]>,
-    a_p: Vec<f64>,
-    snr: Vec<f64>,
-    outage: Vec<bool>,
-    p_coll: Vec<f64>,
-}
-
-#[derive(Deserialize)]
-#[expect(non_snake_case, reason = "the names of the reference files")]
-struct FlightMetrics {
-    d_f: f64,
-    E_comm: f64,
-    E_ctrl: f64,
-    p_coll_max: f64,
-    N_out: f64,
-}
-
 /// The commands of each flight, given to our gate and our world, give the flight: every position,
 /// SNR, outage, held action and risk, and the five metrics from our records.
 #[test]
@@ -202,11 +164,7 @@ fn closed_loop_flights_from_their_commands() {
     let file: Flights = read("closed_loop").unwrap();
     assert_eq!(file.traces.len(), 14);
     for flight in &file.traces {
-        let mut scenario = file.params.scenario();
-        scenario.obstacle.position = vector(flight.r_u);
-        scenario.radio.b_dt = flight.B_dt;
-        assert_eq!(flight.sigma_c, 0.0);
-        let name = format!("{} {} at B dt {}", flight.scenario, flight.controller, flight.B_dt);
+        let (scenario, name) = (flight.scenario(&file.params), flight.name());
         let records = replay(flight, &scenario, &name);
 
         let metrics = Metrics::of(&records, &scenario).unwrap();
