@@ -1,6 +1,5 @@
 //! `gcs`: flies a UAV from pictures.
 
-use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -189,18 +188,6 @@ fn main() -> ExitCode {
         Ok(args) => args,
         Err(error) => return sitl::cli::usage(&error),
     };
-    tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
-        )
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
-    match run_command(args.command) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {}", sitl::cli::one_line(&error));
-            ExitCode::FAILURE
-        }
-    }
+    sitl::cli::log();
+    sitl::cli::outcome(run_command(args.command))
 }

@@ -5,7 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
+use model::checkpoint;
 use model::policy::Policies;
 use model::world_model::WorldModel;
 use serde::Serialize;
@@ -46,7 +47,21 @@ impl Brain {
         })
     }
 
+    /// The policies, which must have been optimised in this world model's latents.
     fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+        let policies = self.read_policies(scenario)?;
+        let here = checkpoint::fingerprint(&self.world)?;
+        if policies.world != here {
+            let name = self.policy.as_ref().map_or("the shipped policy".into(), |p| p.display().to_string());
+            bail!(
+                "{name} was optimised in world model {}, and this is {here}: run `model optimise` on it",
+                if policies.world.is_empty() { "(unnamed)" } else { &policies.world }
+            );
+        }
+        Ok(policies)
+    }
+
+    fn read_policies(&self, scenario: &Scenario) -> Result<Policies> {
         if let Some(path) = &self.policy {
             return Ok(Policies::load(path)?);
         }

@@ -316,6 +316,14 @@ pub fn get_weights(from: &Reader<'_>) -> Result<Weights, CheckpointError> {
     })
 }
 
+/// A name for the learned numbers, equal for equal weights: FNV-1a over the tensors' bytes.
+pub fn fingerprint(model: &WorldModel) -> Result<String, CheckpointError> {
+    let hash = tensors(model)?.into_iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    Ok(format!("{hash:016x}"))
+}
+
 fn tensors(model: &WorldModel) -> Result<Vec<u8>, CheckpointError> {
     let mut out = Writer::default();
     put_weights(&mut out, model.encoder.weights());

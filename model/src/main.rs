@@ -3,6 +3,7 @@
 mod optimise_cli;
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -68,18 +69,17 @@ struct Train {
     json: bool,
 }
 
-fn main() -> anyhow::Result<()> {
-    tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
-        )
-        .with_writer(std::io::stderr)
-        .init();
-    match Args::parse().command {
+fn main() -> ExitCode {
+    let args = match Args::try_parse() {
+        Ok(args) => args,
+        Err(error) => return sitl::cli::usage(&error),
+    };
+    sitl::cli::log();
+    sitl::cli::outcome(match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Optimise(args) => optimise_cli::run(&args),
-    }
+    })
 }
 
 fn collect(args: &Collect) -> anyhow::Result<()> {

@@ -15,6 +15,7 @@ use sitl::camera;
 use sitl::world::dynamics::limit_speed;
 use sitl::world::noise::{Noise, Stream};
 
+use crate::checkpoint::{self, CheckpointError};
 use crate::crpl::{self, Draws, Estimate, Execution, Head, Limits, Objective, Plant, Scores, Setting};
 use crate::kernel::{LANES, Lane, ZERO};
 use crate::mlp::Mlp;
@@ -120,6 +121,9 @@ pub enum OptimiseError {
         /// On how many rollouts.
         rollouts: usize,
     },
+    /// The world model has no fingerprint.
+    #[error(transparent)]
+    World(#[from] CheckpointError),
     /// Saved progress could not be used.
     #[error("{0}")]
     Progress(String),
@@ -166,6 +170,8 @@ pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a
 #[derive(Debug, Clone)]
 pub struct Stage {
     plant: Plant,
+    /// Fingerprint of the world model.
+    world: String,
     /// (y_c at 0, y_c at -1)
     starts: Vec<([f32; 2], [f32; 2])>,
     /// y_u where the obstacle stands.
@@ -189,7 +195,8 @@ impl Stage {
             let latent = world.encode(frame);
             (world.y_c(&latent), world.y_u(&latent))
         };
-        Ok(Self::new(plant, &encode, scenario, config, seed))
+        let world = checkpoint::fingerprint(world)?;
+        Ok(Self { world, ..Self::new(plant, &encode, scenario, config, seed) })
     }
 
     /// Renders and encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
@@ -232,6 +239,7 @@ impl Stage {
             displaced,
             starts,
             wind: (config.kick / scenario.dynamics.a_max) as f32,
+            world: String::new(),
             plant,
         }
     }
@@ -690,7 +698,7 @@ fn finish(
         let norm = adam.descend(&mut power, &grad);
         watch.iteration("stage 2, power", i + 1, config.stage2_iterations, &estimate, norm);
     }
-    let policies = Policies { motion, power };
+    let policies = Policies { motion, power, world: stage.world.clone() };
     let (p_comm_executed, mean_power) = executed_power(o, &policies, &blocks);
     let (motion_estimate, _) = measure(stage, config, noise, &policies.motion, last_eta);
     let checks = [

@@ -3,6 +3,7 @@
 //! They see the latent state alone: its plane coordinates y_c (now and one interval ago) and y_u.
 //! They know no positions, no bandwidth and no protocol.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
@@ -13,6 +14,9 @@ use sitl::msg::{Motion, TxPower};
 
 use crate::kernel;
 use crate::mlp::{Dense, Mlp};
+
+/// Key of the world model's fingerprint in a policy file's metadata.
+const WORLD: &str = "world_model";
 
 /// Number of inputs of each policy.
 pub const FEATURES: usize = 6;
@@ -56,6 +60,8 @@ pub struct Policies {
     pub motion: Mlp,
     /// π_p: features to the logits of [`TxPower::ALL`].
     pub power: Mlp,
+    /// Fingerprint of the world model whose latents they read; they mean nothing in another's.
+    pub world: String,
 }
 
 /// Why a policy file could not be used.
@@ -101,7 +107,7 @@ impl Policies {
         if let Some(last) = power.layers.last_mut() {
             last.b = vec![0.5, -0.5];
         }
-        Self { motion, power }
+        Self { motion, power, world: String::new() }
     }
 
     /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
@@ -163,7 +169,9 @@ impl Policies {
             })
             .collect::<Result<Vec<_>, _>>()
             .map_err(|e| content(e.to_string()))?;
-        let file = safetensors::serialize(views, None).map_err(|e| content(e.to_string()))?;
+        let file =
+            safetensors::serialize(views, Some(HashMap::from([(WORLD.to_owned(), self.world.clone())])))
+                .map_err(|e| content(e.to_string()))?;
         std::fs::write(path, file).map_err(|source| PolicyError::Io { path: path.into(), source })
     }
 
@@ -204,7 +212,10 @@ impl Policies {
             });
             Ok(Mlp { layers: layers.collect::<Result<_, String>>()? })
         };
-        Ok(Self { motion: net("motion", &MOTION_WIDTHS)?, power: net("power", &POWER_WIDTHS)? })
+        let (_, header) =
+            SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
+        let world = header.metadata().as_ref().and_then(|m| m.get(WORLD)).cloned().unwrap_or_default();
+        Ok(Self { motion: net("motion", &MOTION_WIDTHS)?, power: net("power", &POWER_WIDTHS)?, world })
     }
 }
 

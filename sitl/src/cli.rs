@@ -128,6 +128,14 @@ pub fn main() -> ExitCode {
         Ok(args) => args,
         Err(error) => return usage(&error),
     };
+    log();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let flown = runtime.context("starting the runtime").and_then(|runtime| runtime.block_on(run(args)));
+    outcome(flown)
+}
+
+/// Logs to stderr, from level info on unless RUST_LOG says otherwise; colours on a terminal only.
+pub fn log() {
     tracing_subscriber::fmt()
         .with_env_filter(
             tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
@@ -135,9 +143,12 @@ pub fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let flown = runtime.context("starting the runtime").and_then(|runtime| runtime.block_on(run(args)));
-    match flown {
+}
+
+/// What a program's work came to: success, or its error in one line.
+#[must_use]
+pub fn outcome(done: Result<()>) -> ExitCode {
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", one_line(&error));
