@@ -38,8 +38,8 @@ pub enum CheckpointError {
         /// Why.
         source: std::io::Error,
     },
-    /// The file is no safetensors file.
-    #[error("{path}: not a safetensors file: {message}")]
+    /// The file is not what it should be.
+    #[error("{path}: {message}")]
     Format {
         /// The file.
         path: PathBuf,
@@ -196,7 +196,7 @@ impl<'a> Reader<'a> {
     pub fn new(bytes: &'a [u8], path: PathBuf) -> Result<Self, CheckpointError> {
         match SafeTensors::deserialize(bytes) {
             Ok(tensors) => Ok(Self { tensors, path }),
-            Err(e) => Err(CheckpointError::Format { path, message: e.to_string() }),
+            Err(e) => Err(CheckpointError::Format { path, message: format!("not a safetensors file: {e}") }),
         }
     }
 

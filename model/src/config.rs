@@ -182,6 +182,13 @@ impl TrainConfig {
             let must = "must be finite and not below 0";
             return Err(ConfigError::Range { key: "encoder.mix", value: self.encoder.mix, must });
         }
+        // Random flights that stay in the square for longer are too rare to find.
+        for (key, steps) in [("data.steps", self.data.steps), ("evaluation.horizon", self.evaluation.horizon)]
+        {
+            if steps > 200 {
+                return Err(ConfigError::Range { key, value: steps as f64, must: "must be at most 200" });
+            }
+        }
         let lag = [1, self.predictor.lag];
         for (key, lags) in [("long", self.long), ("short", self.short), ("predictor.lag", lag)] {
             if !(1 <= lags[0] && lags[0] <= lags[1] && 2 * lags[1] <= self.data.steps) {

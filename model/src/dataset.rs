@@ -206,11 +206,18 @@ pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, CheckpointError> {
     let path = dir.join(EPISODES);
     let bytes =
         std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
-    let from = Reader::new(&bytes, path)?;
+    let from = Reader::new(&bytes, path.clone())?;
+    let wrong = |message: &str| CheckpointError::Format { path: path.clone(), message: message.into() };
     let count = from.shape("uav")?.first().copied().unwrap_or(0);
+    if count == 0 {
+        return Err(wrong("it holds no episode"));
+    }
     let states = [count, steps + 2, 2];
     let (uav, obstacle) = (from.f64("uav", &states)?, from.f64("obstacle", &states)?);
     let actions = from.f64("actions", &[count, steps, 2])?;
+    if !uav.iter().chain(&obstacle).all(|x| (0.0..=1.0).contains(x)) {
+        return Err(wrong("a position lies outside the unit square"));
+    }
     let part = |values: &[f64], n: usize, length: usize| -> Vec<Vector2<f64>> {
         values[n * length * 2..][..length * 2].chunks_exact(2).map(|v| Vector2::new(v[0], v[1])).collect()
     };
@@ -261,5 +268,18 @@ mod tests {
         assert_eq!(load(dir.path(), 40).unwrap(), episodes);
         let wrong = load(dir.path(), 41).unwrap_err().to_string();
         assert!(wrong.contains("tensor `uav` has shape [20, 42, 2], expected [20, 43, 2]"), "{wrong}");
+    }
+
+    #[test]
+    fn a_dataset_that_cannot_be_drawn_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut episodes = some(Start::Mixed);
+        episodes[7].obstacle[3].x = 1e300;
+        save(&episodes, dir.path()).unwrap();
+        let outside = load(dir.path(), 40).unwrap_err().to_string();
+        assert!(outside.ends_with("a position lies outside the unit square"), "{outside}");
+        save(&[], dir.path()).unwrap();
+        let empty = load(dir.path(), 0).unwrap_err().to_string();
+        assert!(empty.ends_with("it holds no episode"), "{empty}");
     }
 }
