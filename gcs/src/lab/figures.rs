@@ -78,7 +78,7 @@ fn draw<B: DrawingBackend>(
     let label = ("sans-serif", 15).into_font();
     let words = [
         ("base station", (bs.0 + 0.02, bs.1 + 0.015)),
-        ("goal", (scenario.goal.x - 0.02, scenario.goal.y + 0.085)),
+        ("goal", (scenario.goal.x - 0.02, scenario.goal.y - 0.065)),
     ];
     chart.draw_series(words.map(|(word, at)| Text::new(word, at, label.clone()))).map_err(failed)?;
 
