@@ -10,7 +10,7 @@
 //! |---|---|---|
 //! | [`station`] | percept in, command out, idempotent | sockets, clocks |
 //! | [`belief`] | latent history, ledger of commands | physics |
-//! | [`pilot`] | CRPL, RCC, UCC: who sees what | bytes |
+//! | [`pilot`] | CRPL, APC, RCC, UCC: who sees what | bytes |
 //! | [`remote`] | datagrams to percepts, commands to datagrams | sockets |
 //! | [`fly`] | the UDP shell | controllers |
 //! | [`lab`] | flights in process, figures | protocols |

@@ -1,5 +1,6 @@
 //! Who decides: one controller a file, and one `match` that hands out what each may see.
 
+pub mod apc;
 pub mod crpl;
 pub mod rcc;
 pub mod reactive;
@@ -23,6 +24,8 @@ use reactive::Present;
 pub enum Controller {
     /// Predictive control in latent space, from pictures alone
     Crpl,
+    /// Analytical predictive control: the oracle, from telemetry and the equations
+    Apc,
     /// Reactive constrained control, from present telemetry
     Rcc,
     /// Unconstrained communication control, from present telemetry
@@ -33,6 +36,7 @@ impl std::fmt::Display for Controller {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Crpl => "crpl",
+            Self::Apc => "apc",
             Self::Rcc => "rcc",
             Self::Ucc => "ucc",
         })
@@ -44,6 +48,8 @@ impl std::fmt::Display for Controller {
 pub enum Pilot {
     /// Sees pictures, through the world model.
     Crpl(Arc<Policies>),
+    /// Sees present telemetry and the equations.
+    Apc,
     /// Sees present telemetry.
     Rcc(rcc::Rcc),
     /// Sees present telemetry.
@@ -61,6 +67,7 @@ impl Pilot {
     ) -> (Motion, TxPower) {
         match self {
             Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
+            Self::Apc => apc::decide(&Present::of(telemetry, scenario), scenario),
             Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),
             Self::Ucc(ucc) => ucc.decide(&Present::of(telemetry, scenario), scenario),
         }

@@ -1,6 +1,8 @@
 //! CRPL in the loop, from pictures: the same flight in process, through MAVLink bytes, over UDP and
 //! over a path that loses datagrams; the demo; and what the shipped policies are worth.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
+
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 use std::path::Path;
