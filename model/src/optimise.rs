@@ -4,23 +4,23 @@
 //! The warm start tries both ways round the obstacle, each from an easier problem, and keeps the
 //! better on common random rollouts. Knows latents alone: no position, no simulator.
 
-use multiversion::multiversion;
-use nalgebra::Vector2;
+mod adam;
+mod power;
+mod stage;
+
 use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sitl::Scenario;
-use sitl::camera;
-use sitl::world::dynamics::limit_speed;
 use sitl::world::noise::{Noise, Stream};
 
-use crate::checkpoint::{self, CheckpointError};
-use crate::crpl::{self, Draws, Estimate, Execution, Head, Limits, Objective, Plant, Scores, Setting};
-use crate::kernel::{LANES, Lane, ZERO};
+use crate::checkpoint::CheckpointError;
+use crate::crpl::{self, Estimate, Execution, Limits, Objective, Scores, Setting};
+use crate::kernel::LANES;
 use crate::mlp::Mlp;
-use crate::policy::{FEATURES, Policies};
-use crate::world_model::WorldModel;
+use crate::policy::Policies;
+use adam::{Adam, Mean};
+use power::{Sample, executed_power, power_gradient};
+pub use stage::{Encode, Stage};
 
 /// Every number of Algorithm 1. `Default` as argued in docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -160,216 +160,6 @@ impl OptimiseConfig {
             }
         }
         Ok(())
-    }
-}
-
-/// What the encoder must provide: plane coordinates of a picture of UAV and obstacle.
-pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
-
-/// A scenario seen through the encoder: start pairs, obstacle places.
-#[derive(Debug, Clone)]
-pub struct Stage {
-    plant: Plant,
-    /// Fingerprint of the world model.
-    world: String,
-    /// (y_c at 0, y_c at -1)
-    starts: Vec<([f32; 2], [f32; 2])>,
-    /// y_u where the obstacle stands.
-    obstacle: [f32; 2],
-    /// y_u of the displaced obstacles: [below: +y, above: -y][displacement].
-    displaced: [Vec<[f32; 2]>; 2],
-    /// kick / a_max
-    wind: f32,
-}
-
-impl Stage {
-    /// The scenario as `world` sees it.
-    pub fn of(
-        world: &WorldModel,
-        scenario: &Scenario,
-        config: &OptimiseConfig,
-        seed: u64,
-    ) -> Result<Self, OptimiseError> {
-        let plant = plant(world, scenario, config)?;
-        let encode = |frame: &camera::Frame| {
-            let latent = world.encode(frame);
-            (world.y_c(&latent), world.y_u(&latent))
-        };
-        let world = checkpoint::fingerprint(world)?;
-        Ok(Self { world, ..Self::new(plant, &encode, scenario, config, seed) })
-    }
-
-    /// Renders and encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
-    /// replaced by the encoded ones.
-    #[must_use]
-    pub fn new(
-        mut plant: Plant,
-        encode: &Encode<'_>,
-        scenario: &Scenario,
-        config: &OptimiseConfig,
-        seed: u64,
-    ) -> Self {
-        let place =
-            |uav: Vector2<f64>, obstacle: Vector2<f64>| encode(&camera::render(uav, obstacle, scenario));
-        let there = scenario.obstacle.position;
-        plant.goal = place(scenario.goal, there).0;
-        plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
-        plant.limits = config.limits;
-        let noise = Noise::new(seed);
-        let starts = (0..config.starts as u64)
-            .into_par_iter()
-            .map(|n| {
-                let mut rng = noise.generator(Stream::Start, n);
-                let mut normal = |s: f64| {
-                    let (x, y): (f64, f64) =
-                        (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
-                    s * Vector2::new(x, y)
-                };
-                let r = scenario.start + normal(config.start_spread[0]);
-                let v = limit_speed(normal(config.start_spread[1]), scenario.dynamics.v_max);
-                (place(r, there).0, place(r - v, there).0)
-            })
-            .collect();
-        let displaced = [1.0, -1.0].map(|sign| {
-            let shift = |d: &f64| place(scenario.start, there + Vector2::new(0.0, sign * d)).1;
-            config.displacements.iter().map(shift).collect()
-        });
-        Self {
-            obstacle: place(scenario.start, there).1,
-            displaced,
-            starts,
-            wind: (config.kick / scenario.dynamics.a_max) as f32,
-            world: String::new(),
-            plant,
-        }
-    }
-
-    /// The learned world with this scenario's goal.
-    #[must_use]
-    pub fn plant(&self) -> &Plant {
-        &self.plant
-    }
-
-    /// Common random rollouts number `index`: equal for equal (seed, index), whoever asks.
-    #[must_use]
-    pub fn draws(
-        &self,
-        noise: &Noise,
-        stream: Stream,
-        index: u64,
-        rollouts: usize,
-        y_u: [f32; 2],
-        horizon: usize,
-    ) -> Vec<Draws> {
-        let fixed = [[y_u[0]; LANES], [y_u[1]; LANES]];
-        (0..(rollouts / LANES) as u64)
-            .into_par_iter()
-            .map(|block| {
-                let mut rng = noise.generator(stream, (index << 16) | block);
-                let mut start = [[ZERO; 2]; 2];
-                for l in 0..LANES {
-                    let (now, before) = self.starts[rng.random_range(0..self.starts.len())];
-                    for i in 0..2 {
-                        start[0][i][l] = now[i];
-                        start[1][i][l] = before[i];
-                    }
-                }
-                let mut lane = || -> Lane {
-                    std::array::from_fn(|_| {
-                        let z: f64 = StandardNormal.sample(&mut rng);
-                        self.wind * z as f32
-                    })
-                };
-                let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
-                Draws { start, obstacle: [fixed, fixed], wind }
-            })
-            .collect()
-    }
-}
-
-/// The learned world in plane coordinates, scales and noise power folded into the heads.
-fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
-    let psi = world.reduced();
-    let rows = |m: &nalgebra::Matrix2<f64>| {
-        [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
-    };
-    let heads = &world.heads;
-    // Input scales into the first layer's rows, output scale and offset into the last layer.
-    let fold = |net: &Mlp, factor: f32, offset: f32| {
-        let mut net = net.clone();
-        if let Some(first) = net.layers.first_mut() {
-            let outputs = first.outputs;
-            for (i, row) in first.w.chunks_exact_mut(outputs).enumerate() {
-                let scale = if i < 2 { heads.scale_c } else { heads.scale_u };
-                row.iter_mut().for_each(|w| *w *= scale);
-            }
-        }
-        if let Some(last) = net.layers.last_mut() {
-            last.w.iter_mut().for_each(|w| *w *= factor);
-            last.b.iter_mut().for_each(|b| *b = *b * factor + offset);
-        }
-        net
-    };
-    let received = heads.gain_mean - (scenario.channel.noise_power as f32).ln();
-    let collision = fold(&heads.collision, 1.0, 0.0);
-    let gain = fold(&heads.gain, heads.gain_std, received);
-    Ok(Plant {
-        psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
-        psi_u: [rows(&psi.u0), rows(&psi.u1)],
-        scale: world.scale as f32,
-        v_max: scenario.dynamics.v_max as f32,
-        corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
-        limits: config.limits,
-        goal: [0.0; 2],
-        collision: Head::new(collision).ok_or(OptimiseError::Head("collision"))?,
-        gain: Head::new(gain).ok_or(OptimiseError::Head("gain"))?,
-    })
-}
-
-/// Adam (0.9, 0.999, 1e-8) over one network.
-struct Adam {
-    rate: f32,
-    clip: f32,
-    step: i32,
-    first: Mlp,
-    second: Mlp,
-}
-
-impl Adam {
-    fn new(net: &Mlp, rate: f32, clip: f32) -> Self {
-        let mut zeros = net.clone();
-        for layer in &mut zeros.layers {
-            layer.w.fill(0.0);
-            layer.b.fill(0.0);
-        }
-        Self { rate, clip, step: 0, first: zeros.clone(), second: zeros }
-    }
-
-    /// One step down `grad`; returns the gradient's norm before clipping.
-    fn descend(&mut self, net: &mut Mlp, grad: &Mlp) -> f64 {
-        let squares = |l: &crate::mlp::Dense| {
-            l.w.iter().chain(&l.b).map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>()
-        };
-        let norm = grad.layers.iter().map(squares).sum::<f64>().sqrt();
-        // A gradient that is not finite teaches nothing; the iteration is skipped.
-        if !norm.is_finite() {
-            return norm;
-        }
-        let scale = if norm > f64::from(self.clip) { (f64::from(self.clip) / norm) as f32 } else { 1.0 };
-        self.step += 1;
-        let (c1, c2) = (1.0 - 0.9f32.powi(self.step), 1.0 - 0.999f32.powi(self.step));
-        let layers = net.layers.iter_mut().zip(&grad.layers);
-        for ((layer, g), (m, v)) in layers.zip(self.first.layers.iter_mut().zip(&mut self.second.layers)) {
-            let weights = layer.w.iter_mut().chain(&mut layer.b).zip(g.w.iter().chain(&g.b));
-            let moments = m.w.iter_mut().chain(&mut m.b).zip(v.w.iter_mut().chain(&mut v.b));
-            for ((w, g), (m, v)) in weights.zip(moments) {
-                let g = scale * g;
-                *m = 0.9 * *m + 0.1 * g;
-                *v = 0.999 * *v + 0.001 * g * g;
-                *w -= self.rate * (*m / c1) / ((*v / c2).sqrt() + 1e-8);
-            }
-        }
-        norm
     }
 }
 
@@ -577,32 +367,6 @@ fn stretch(
     }
 }
 
-/// Running sum of a network's weights in f64.
-#[derive(Default)]
-struct Mean {
-    sums: Vec<f64>,
-    like: Option<Mlp>,
-    count: f64,
-}
-
-impl Mean {
-    fn add(&mut self, net: &Mlp) {
-        let weights = net.layers.iter().flat_map(|l| l.w.iter().chain(&l.b));
-        self.sums.resize(weights.clone().count(), 0.0);
-        self.sums.iter_mut().zip(weights).for_each(|(s, w)| *s += f64::from(*w));
-        self.like.get_or_insert_with(|| net.clone());
-        self.count += 1.0;
-    }
-
-    /// The mean; `None` if nothing was added.
-    fn net(self) -> Option<Mlp> {
-        let mut net = self.like?;
-        let weights = net.layers.iter_mut().flat_map(|l| l.w.iter_mut().chain(&mut l.b));
-        weights.zip(self.sums).for_each(|(w, s)| *w = (s / self.count) as f32);
-        Some(net)
-    }
-}
-
 /// Measures a motion policy at maximum power on common random rollouts of the evaluation stream.
 #[must_use]
 pub fn measure(
@@ -712,123 +476,4 @@ fn finish(
         }
     }
     Ok((policies, Outcome { comparison, motion: motion_estimate, p_comm_executed, mean_power }))
-}
-
-/// The policies' inputs and γ/γ_min at a_p = 1 in one interval of [`LANES`] rollouts.
-type Sample = ([Lane; FEATURES], Lane);
-
-/// P̂_comm and mean power when the power that [`Policies::act`] chooses is used.
-fn executed_power(objective: &Objective, policies: &Policies, blocks: &[Vec<Sample>]) -> (f64, f64) {
-    let sums: Vec<(f64, f64, usize)> = blocks
-        .par_iter()
-        .map(|block| {
-            let mut sum = (0.0, 0.0, 0);
-            for (x, ratio) in block {
-                for l in 0..LANES {
-                    let level = policies.act(&std::array::from_fn(|i| x[i][l])).1.level();
-                    sum.0 += 1.0 - crpl::outage_surrogate(f64::from(ratio[l]) * level, 1.0, objective.alpha);
-                    sum.1 += level;
-                    sum.2 += 1;
-                }
-            }
-            sum
-        })
-        .collect();
-    let n = sums.iter().map(|s| s.2).sum::<usize>().max(1) as f64;
-    (sums.iter().map(|s| s.0).sum::<f64>() / n, sums.iter().map(|s| s.1).sum::<f64>() / n)
-}
-
-/// Stage 2's objective λ_p Σ E[a_p²] - w log_ext(P_comm - 1 + δ2) and its gradient.
-fn power_gradient(
-    objective: &Objective,
-    w: f64,
-    eps: f64,
-    net: &Mlp,
-    batch: &[&[Sample]],
-) -> (Estimate, Mlp) {
-    let rollouts = (batch.len() * LANES) as f64;
-    let horizon = batch[0].len() as f64;
-    let alpha = objective.alpha as f32;
-    let passes: Vec<PowerPass> = batch.par_iter().map(|block| power_forward(alpha, net, block)).collect();
-    let connected = passes.iter().map(|p| p.connected).sum::<f64>() / (rollouts * horizon);
-    let spent = passes.iter().map(|p| p.spent).sum::<f64>() / rollouts;
-    let margin = connected - 1.0 + objective.outage_tolerance;
-    let cost = objective.lambda_power * spent;
-    let estimate =
-        Estimate { j: cost - w * crpl::log_ext(margin, eps), cost, p_safe: f64::NAN, p_comm: connected };
-    let d_outage = (w / margin.max(eps) / (rollouts * horizon)) as f32;
-    let d_spent = (objective.lambda_power / rollouts) as f32;
-    let grads: Vec<Mlp> =
-        passes.par_iter().map(|pass| power_backward(net, pass, d_outage, d_spent)).collect();
-    (estimate, crpl::sum(grads))
-}
-
-/// What stage 2's backward pass reads again.
-struct PowerPass {
-    x: Vec<Lane>,
-    h1: Vec<Lane>,
-    h2: Vec<Lane>,
-    p: Vec<Lane>,
-    /// Smooth outage at each of the two powers.
-    outage: Vec<[Lane; 2]>,
-    connected: f64,
-    spent: f64,
-}
-
-const HIDDEN: usize = 64;
-const LEVELS: [f32; 2] = [1.0, 4.0];
-
-#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
-fn power_forward(alpha: f32, net: &Mlp, block: &[Sample]) -> PowerPass {
-    let steps = block.len();
-    let mut pass = PowerPass {
-        x: block.iter().flat_map(|(x, _)| *x).collect(),
-        h1: vec![ZERO; steps * HIDDEN],
-        h2: vec![ZERO; steps * HIDDEN],
-        p: vec![ZERO; steps * 2],
-        outage: vec![[ZERO; 2]; steps],
-        connected: 0.0,
-        spent: 0.0,
-    };
-    for (k, (x, ratio)) in block.iter().enumerate() {
-        let hidden = k * HIDDEN..(k + 1) * HIDDEN;
-        let p = &mut pass.p[2 * k..2 * k + 2];
-        crpl::probabilities(net, x, &mut pass.h1[hidden.clone()], &mut pass.h2[hidden], p);
-        let (mut connected, mut spent) = (0.0, 0.0);
-        for (a, level) in LEVELS.iter().enumerate() {
-            for l in 0..LANES {
-                let outage = crate::kernel::sigmoid(alpha * (1.0 - ratio[l] * level));
-                pass.outage[k][a][l] = outage;
-                connected += p[a][l] * (1.0 - outage);
-                spent += p[a][l] * level * level;
-            }
-        }
-        pass.connected += f64::from(connected);
-        pass.spent += f64::from(spent);
-    }
-    pass
-}
-
-#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
-fn power_backward(net: &Mlp, pass: &PowerPass, d_outage: f32, d_spent: f32) -> Mlp {
-    let back = crpl::Back::new(net);
-    let steps = pass.outage.len();
-    let (mut d1, mut d2, mut d3) =
-        (vec![ZERO; steps * HIDDEN], vec![ZERO; steps * HIDDEN], vec![ZERO; steps * 2]);
-    for (k, outage) in pass.outage.iter().enumerate() {
-        let mut dp = [ZERO; 2];
-        for (a, level) in LEVELS.iter().enumerate() {
-            for l in 0..LANES {
-                dp[a][l] = d_outage * outage[a][l] + d_spent * level * level;
-            }
-        }
-        let hidden = k * HIDDEN..(k + 1) * HIDDEN;
-        back.hidden(
-            &pass.p[2 * k..2 * k + 2],
-            &dp,
-            (&pass.h1[hidden.clone()], &pass.h2[hidden.clone()]),
-            (&mut d1[hidden.clone()], &mut d2[hidden], &mut d3[2 * k..2 * k + 2]),
-        );
-    }
-    crpl::weight_gradient(net, [(&pass.x, &d1), (&pass.h1, &d2), (&pass.h2, &d3)])
 }
