@@ -4,10 +4,21 @@
 //! control interval passes and what time it is. Knows no socket and no clock. It is in GUIDED mode,
 //! armed and in the air from the start, with ArduCopter's mode numbers.
 //!
+//! | module | what it is |
+//! |---|---|
+//! | `commands` | what is answered: setpoints, commands, the radio's parameter, image requests |
+//! | `messages` | every message that can be asked for, one row each |
+//! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
+//! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
+//!
 //! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
 //! peer that has spoken; pictures to those that asked for them by the image protocol.
 
+#![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
+
 mod commands;
+mod messages;
+mod rates;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -23,6 +34,7 @@ use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::sim::Sim;
 use crate::units::Tick;
+use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
 const MAX_PEERS: usize = 16;
@@ -48,6 +60,10 @@ pub struct Vehicle {
     /// Newest time stamp of a power command, boot ms.
     newest_power: Option<f32>,
     said: BTreeMap<&'static str, Duration>,
+    /// The control interval on the wall's clock; `None` in lockstep.
+    period: Option<Duration>,
+    /// Since 1970 when `now` was zero, if anybody knows.
+    epoch: Option<Duration>,
     tally: Tally,
 }
 
@@ -83,6 +99,7 @@ struct Peer {
     autopilot: Encoder,
     radio: Encoder,
     images: bool,
+    rates: Rates,
     /// Named by configuration: never makes room for others.
     fixed: bool,
     heard: Duration,
@@ -95,9 +112,17 @@ impl Peer {
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
             images: false,
+            rates: Rates::default(),
             fixed,
             heard: now,
         }
+    }
+}
+
+impl Peer {
+    /// The component that speaks to this peer: the radio, else the autopilot.
+    fn encoder(&mut self, component: u8) -> &mut Encoder {
+        if component == RADIO { &mut self.radio } else { &mut self.autopilot }
     }
 }
 
@@ -119,13 +144,21 @@ impl Vehicle {
             acknowledged: false,
             newest_power: None,
             said: BTreeMap::new(),
+            period: None,
+            epoch: None,
             tally: Tally::default(),
         }
+    }
+
+    /// Tells the time since 1970 at which `now` was zero; without it SYSTEM_TIME says 0, unknown.
+    pub fn set_epoch(&mut self, epoch: Option<Duration>) {
+        self.epoch = epoch;
     }
 
     /// A peer that is spoken to before it has spoken.
     pub fn add_peer(&mut self, address: SocketAddr, now: Duration) {
         self.peers.insert(address, Peer::new(self.system, true, now));
+        self.set_default_rates(address, now);
         self.greet(address);
     }
 
@@ -151,6 +184,7 @@ impl Vehicle {
         peer.heard = now;
         self.peers.insert(from, peer);
         if is_new {
+            self.set_default_rates(from, now);
             self.greet(from);
             self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
         }

@@ -89,16 +89,29 @@ pub fn push_telemetry(
     radio: &mut Encoder,
     datagram: &mut Vec<u8>,
 ) {
+    push_position(report, clock, autopilot, datagram);
+    push_held(report, clock, autopilot, datagram);
+    push_obstacle(report, clock, autopilot, datagram);
+    if let Some(link) = report.link {
+        push_link_values(&link, clock.boot_ms(report.tick), radio, datagram);
+        push_radio_status(&link, radio, datagram);
+    }
+}
+
+/// Appends LOCAL_POSITION_NED.
+pub fn push_position(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let ([x, y], [vx, vy]) = (report.position, report.velocity);
     let time_boot_ms = clock.boot_ms(report.tick);
-    let [x, y] = report.position;
-    let [vx, vy] = report.velocity;
     let position =
         dialect::LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z: -clock.altitude_m, vx, vy, vz: 0.0 };
     autopilot.push(datagram, &position);
+}
 
+/// Appends POSITION_TARGET_LOCAL_NED.
+pub fn push_held(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     let (stamp, [afx, afy], mask) = match report.held {
         Some(held) => (clock.boot_ms(held.tick), held.accel, MASK_ACCEL),
-        None => (time_boot_ms, [0.0; 2], MASK_NOTHING),
+        None => (clock.boot_ms(report.tick), [0.0; 2], MASK_NOTHING),
     };
     let target = dialect::POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: stamp,
@@ -109,22 +122,22 @@ pub fn push_telemetry(
         ..Default::default()
     };
     autopilot.push(datagram, &target);
+}
 
+/// Appends DEBUG_VECT `OBSTACLE`.
+pub fn push_obstacle(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     let obstacle = dialect::DEBUG_VECT_DATA {
-        time_usec: u64::from(time_boot_ms) * 1000,
+        time_usec: u64::from(clock.boot_ms(report.tick)) * 1000,
         x: report.obstacle[0],
         y: report.obstacle[1],
         z: clock.obstacle_radius_m,
         name: "OBSTACLE".into(),
     };
     autopilot.push(datagram, &obstacle);
-
-    if let Some(link) = report.link {
-        push_link(&link, time_boot_ms, radio, datagram);
-    }
 }
 
-fn push_link(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram: &mut Vec<u8>) {
+/// Appends NAMED_VALUE_FLOAT `SNR_DB`, `TXP` and `OUTAGE`.
+pub fn push_link_values(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram: &mut Vec<u8>) {
     let values = [
         ("SNR_DB", link.snr_db),
         ("TXP", link.power.level() as f32),
@@ -133,6 +146,10 @@ fn push_link(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram
     for (name, value) in values {
         radio.push(datagram, &dialect::NAMED_VALUE_FLOAT_DATA { time_boot_ms, value, name: name.into() });
     }
+}
+
+/// Appends RADIO_STATUS.
+pub fn push_radio_status(link: &LinkReport, radio: &mut Encoder, datagram: &mut Vec<u8>) {
     // 255 is "unknown" in the standard.
     let status = dialect::RADIO_STATUS_DATA {
         rssi: (127.0 + 2.0 * link.snr_db).round().clamp(0.0, 254.0) as u8,

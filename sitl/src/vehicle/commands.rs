@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use mavlink::MessageData;
 
-use super::Vehicle;
+use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
-use crate::link::dialect::{self, MavParamType, MavProtocolCapability, MavResult, MavSeverity};
+use crate::link::dialect::{self, MavParamType, MavResult, MavSeverity};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
 use crate::link::{AUTOPILOT, RADIO};
@@ -15,8 +15,11 @@ use crate::msg::{Command, TxPower};
 
 /// The radio's only parameter: its transmit power, 1 or 4.
 const PARAM_TX_POWER: &str = "RADIO_TXP";
+const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
+const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
+const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 
 impl Vehicle {
     pub(super) fn packet(&mut self, packet: &Packet, from: SocketAddr, now: Duration) {
@@ -31,7 +34,7 @@ impl Vehicle {
                 self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
-            self.ask(&ask, asker, from);
+            self.ask(&ask, asker, from, now);
         } else if let Some(handshake) = Handshake::of(packet) {
             self.image_wish(handshake.wish(), from, now);
         } else {
@@ -47,6 +50,10 @@ impl Vehicle {
                     }
                 }
                 dialect::PARAM_REQUEST_LIST_DATA::ID if self.radio_is_meant(target(0)) => self.param_value(),
+                dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
+                    let hz = if fields.u8(5) == 0 { 0 } else { fields.u16(0) };
+                    self.set_group(fields.u8(4), f64::from(hz), from, now);
+                }
                 dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
                     let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
                     let (target_system, target_component) = asker;
@@ -95,32 +102,39 @@ impl Vehicle {
         self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
     }
 
-    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr) {
+    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
+        let component = if to_autopilot { AUTOPILOT } else { RADIO };
         match ask.command {
             CMD_TX_POWER if to_radio => {
                 let result = self.tx_power(ask.params);
                 self.ack(ask.command, result, RADIO, asker, from);
             }
-            CMD_REQUEST_MESSAGE if to_autopilot => {
-                let known = ask.params[0] == dialect::AUTOPILOT_VERSION_DATA::ID as f32;
-                let result =
-                    if known { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED };
-                self.ack(ask.command, result, AUTOPILOT, asker, from);
-                if known {
-                    self.reply(from, &version(self.system));
+            _ if !to_autopilot && !to_radio => {}
+            CMD_REQUEST_MESSAGE => {
+                let found = self.requested(ask.params[0], component, now);
+                self.ack(ask.command, found.err().unwrap_or(OK), component, asker, from);
+                if let Ok(row) = found {
+                    self.send_message(row, from, now);
                 }
             }
             CMD_REQUEST_CAPABILITIES if to_autopilot => {
-                self.ack(ask.command, MavResult::MAV_RESULT_ACCEPTED, AUTOPILOT, asker, from);
-                self.reply(from, &version(self.system));
+                self.ack(ask.command, OK, AUTOPILOT, asker, from);
+                let version = messages::version(&self.state(now));
+                self.reply(from, &version);
             }
-            _ if to_autopilot || to_radio => {
+            CMD_SET_MESSAGE_INTERVAL => {
+                let result = self.set_interval(ask.params, component, from, now);
+                self.ack(ask.command, result, component, asker, from);
+            }
+            CMD_GET_MESSAGE_INTERVAL => {
+                let result = self.tell_interval(ask.params[0], component, from);
+                self.ack(ask.command, result, component, asker, from);
+            }
+            _ => {
                 self.tally.unsupported += 1;
-                let component = if to_autopilot { AUTOPILOT } else { RADIO };
                 self.ack(ask.command, MavResult::MAV_RESULT_UNSUPPORTED, component, asker, from);
             }
-            _ => {}
         }
     }
 
@@ -197,7 +211,7 @@ impl Vehicle {
         target.is(self.system, RADIO)
     }
 
-    fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
+    pub(super) fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.autopilot.push(&mut datagram, message);
@@ -206,20 +220,8 @@ impl Vehicle {
 
     fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: SocketAddr) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
-        let encoder = if component == RADIO { &mut peer.radio } else { &mut peer.autopilot };
         let mut datagram = Vec::new();
-        encoder.push_ack(&mut datagram, command, result, asker);
+        peer.encoder(component).push_ack(&mut datagram, command, result, asker);
         self.outbox.push_back((to, datagram));
-    }
-}
-
-fn version(system: u8) -> dialect::AUTOPILOT_VERSION_DATA {
-    dialect::AUTOPILOT_VERSION_DATA {
-        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
-        uid: u64::from(system),
-        ..Default::default()
     }
 }
