@@ -7,6 +7,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | `commands` | what is answered: setpoints, commands, the radio's parameter, image requests |
+//! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
 //! | `messages` | every message that can be asked for, one row each |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
@@ -16,7 +17,9 @@
 
 #![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
 
+mod battery;
 mod commands;
+mod geodesy;
 mod messages;
 mod rates;
 mod streams;
@@ -34,6 +37,7 @@ use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::sim::Sim;
 use crate::units::Tick;
+use battery::Battery;
 use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
@@ -48,6 +52,7 @@ pub struct Vehicle {
     clock: Clock,
     system: u8,
     ticks: Option<u64>,
+    battery: Battery,
     peers: BTreeMap<SocketAddr, Peer>,
     outbox: VecDeque<(SocketAddr, Vec<u8>)>,
     /// This tick's picture, once somebody wanted it.
@@ -135,6 +140,7 @@ impl Vehicle {
             sim,
             system,
             ticks,
+            battery: Battery::default(),
             peers: BTreeMap::new(),
             outbox: VecDeque::new(),
             png: None,
@@ -227,7 +233,10 @@ impl Vehicle {
         let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
         self.sim.advance();
         (self.ready, self.png, self.sendings) = (false, None, 0);
-        let after = self.sim.telemetry().link.is_some_and(|link| link.outage);
+        let link = self.sim.telemetry().link;
+        let after = link.is_some_and(|link| link.outage);
+        let power = link.map_or(self.sim.power(), |link| link.power);
+        self.battery.spend(self.sim.world().uav.v.norm(), power, self.sim.scenario());
         let tick = self.sim.tick();
         match (before, after) {
             (false, true) => self.say(

@@ -9,8 +9,14 @@
 //! | DEBUG_VECT `OBSTACLE` | 250 | 1 | in every percept | |
 //! | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 251 | 68 | in every percept from tick 1 on | |
 //! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
+//! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
+//! | GLOBAL_POSITION_INT: home plus the local position | 33 | 1 | 4 Hz | POSITION |
+//! | SYS_STATUS: battery; radio packets lost | 1 | 1 | 1 Hz | EXTENDED_STATUS |
 //! | SYSTEM_TIME | 2 | 1 | 1 Hz | EXTRA3 |
 //! | EXTENDED_SYS_STATE | 245 | 1 | 1 Hz | EXTENDED_STATUS |
+//! | BATTERY_STATUS: energy really spent | 147 | 1 | 0.5 Hz | EXTRA3 |
+//! | HOME_POSITION: the local frame's origin | 242 | 1 | 0.5 Hz | EXTRA3 |
+//! | GPS_GLOBAL_ORIGIN: the same | 49 | 1 | on request | |
 //! | AUTOPILOT_VERSION | 148 | 1 | on request | |
 //! | PROTOCOL_VERSION | 300 | 1 | on request | |
 //!
@@ -22,13 +28,17 @@ use std::time::Duration;
 
 use mavlink::MessageData;
 
+use super::battery::Battery;
+use super::geodesy::{self, HOME};
 use crate::link::dialect::{
-    self, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState, MavType, MavVtolState,
+    self, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState, MavSysStatusSensor,
+    MavSysStatusSensorExtended, MavType, MavVtolState,
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::msg::Telemetry;
+use crate::radio::Fates;
 
 /// ArduCopter's number of GUIDED.
 pub(super) const MODE_GUIDED: u32 = 4;
@@ -41,6 +51,11 @@ pub(super) struct State {
     pub report: Telemetry,
     pub clock: Clock,
     pub system: u8,
+    /// Flown: north, east, m/s².
+    pub accel: [f32; 2],
+    pub altitude_m: f64,
+    pub battery: Battery,
+    pub fates: Fates,
     /// Since 1970, if known.
     pub unix: Option<Duration>,
 }
@@ -62,6 +77,8 @@ pub(super) enum Goes {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Group {
     ExtendedStatus = 2,
+    Position = 6,
+    Extra1 = 10,
     Extra3 = 12,
 }
 
@@ -140,8 +157,14 @@ pub(super) static ROWS: &[Row] = &[
             wire::push_radio_status(link, encoder, datagram);
         }
     }),
+    row!(ATTITUDE_DATA, Goes::Stream(4.0, Group::Extra1), attitude),
+    row!(GLOBAL_POSITION_INT_DATA, Goes::Stream(4.0, Group::Position), global_position),
+    row!(SYS_STATUS_DATA, Goes::Stream(1.0, Group::ExtendedStatus), system_status),
     row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
     row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),
+    row!(BATTERY_STATUS_DATA, Goes::Stream(0.5, Group::Extra3), |state: &State| state.battery.status()),
+    row!(HOME_POSITION_DATA, Goes::Stream(0.5, Group::Extra3), home_position),
+    row!(GPS_GLOBAL_ORIGIN_DATA, Goes::OnRequest, origin),
     row!(AUTOPILOT_VERSION_DATA, Goes::OnRequest, version),
     row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
 ];
@@ -176,6 +199,84 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
     }
 }
 
+/// Level but for the tilt; between two ticks the acceleration is constant, so nothing turns.
+fn attitude(state: &State) -> dialect::ATTITUDE_DATA {
+    let [roll, pitch] = geodesy::tilt(state.accel);
+    dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
+}
+
+fn global_position(state: &State) -> dialect::GLOBAL_POSITION_INT_DATA {
+    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [vx, vy] = state.report.velocity.map(|speed| (speed * 100.0).round() as i16);
+    dialect::GLOBAL_POSITION_INT_DATA {
+        time_boot_ms: state.boot_ms(),
+        lat,
+        lon,
+        alt: millimetres(HOME[2] + state.altitude_m),
+        relative_alt: millimetres(state.altitude_m),
+        vx,
+        vy,
+        vz: 0,
+        hdg: 0,
+    }
+}
+
+fn millimetres(metres: f64) -> i32 {
+    (metres * 1e3).round() as i32
+}
+
+/// Nothing is measured: positions are the simulator's truth. Packets lost are the radio's.
+fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
+    let sensors = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_EXTERNAL_GROUND_TRUTH
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+        | MavSysStatusSensor::MAV_SYS_STATUS_AHRS
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY
+        | MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK;
+    let Fates { sent, lost, .. } = state.fates;
+    dialect::SYS_STATUS_DATA {
+        onboard_control_sensors_present: sensors,
+        onboard_control_sensors_enabled: sensors,
+        onboard_control_sensors_health: sensors,
+        load: 0,
+        voltage_battery: state.battery.millivolts(),
+        current_battery: state.battery.centiamperes(),
+        drop_rate_comm: (lost * 10_000 / sent.max(1)) as u16,
+        errors_comm: u16::try_from(lost).unwrap_or(u16::MAX),
+        errors_count1: 0,
+        errors_count2: 0,
+        errors_count3: 0,
+        errors_count4: 0,
+        battery_remaining: state.battery.remaining(),
+        onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
+        onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
+        onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
+    }
+}
+
+fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
+    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    dialect::HOME_POSITION_DATA {
+        latitude,
+        longitude,
+        altitude: millimetres(HOME[2]),
+        q: [1.0, 0.0, 0.0, 0.0],
+        time_usec: u64::from(state.boot_ms()) * 1000,
+        ..Default::default()
+    }
+}
+
+fn origin(state: &State) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
+    let home = home_position(state);
+    dialect::GPS_GLOBAL_ORIGIN_DATA {
+        latitude: home.latitude,
+        longitude: home.longitude,
+        altitude: home.altitude,
+        time_usec: home.time_usec,
+    }
+}
+
 fn system_time(state: &State) -> dialect::SYSTEM_TIME_DATA {
     let time_unix_usec = state.unix.map_or(0, |unix| unix.as_micros() as u64);
     dialect::SYSTEM_TIME_DATA { time_unix_usec, time_boot_ms: state.boot_ms() }
@@ -192,6 +293,7 @@ fn extended_state(_: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
 pub(super) fn version(state: &State) -> dialect::AUTOPILOT_VERSION_DATA {
     dialect::AUTOPILOT_VERSION_DATA {
         capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,

@@ -69,7 +69,13 @@ impl Vehicle {
 
     /// What messages are made of, now.
     pub(super) fn state(&self, now: Duration) -> State {
+        let scenario = self.sim.scenario();
+        let flown = self.sim.flown() * scenario.dynamics.a_max;
         State {
+            accel: scenario.scale.ned_from_paper_acceleration(flown),
+            altitude_m: scenario.scale.altitude_m,
+            battery: self.battery,
+            fates: self.sim.fates(),
             report: self.sim.telemetry(),
             clock: self.clock,
             system: self.system,
