@@ -6,9 +6,10 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | `commands` | what is answered: setpoints, commands, the radio's parameter, image requests |
+//! | `commands` | what is answered: setpoints, commands, image requests |
 //! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
 //! | `messages` | every message that can be asked for, one row each |
+//! | `params` | the parameter tables of both components |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
 //!
@@ -21,6 +22,7 @@ mod battery;
 mod commands;
 mod geodesy;
 mod messages;
+mod params;
 mod rates;
 mod streams;
 #[cfg(test)]
@@ -67,6 +69,8 @@ pub struct Vehicle {
     said: BTreeMap<&'static str, Duration>,
     /// The control interval on the wall's clock; `None` in lockstep.
     period: Option<Duration>,
+    /// Default rates that were changed, Hz by message.
+    default_hz: BTreeMap<u32, f64>,
     /// Since 1970 when `now` was zero, if anybody knows.
     epoch: Option<Duration>,
     tally: Tally,
@@ -151,6 +155,7 @@ impl Vehicle {
             newest_power: None,
             said: BTreeMap::new(),
             period: None,
+            default_hz: BTreeMap::new(),
             epoch: None,
             tally: Tally::default(),
         }

@@ -1,4 +1,4 @@
-//! What the vehicle answers: setpoints, commands, the radio's parameter, image requests, echoes.
+//! What the vehicle answers: setpoints, commands, image requests, echoes.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -7,14 +7,12 @@ use mavlink::MessageData;
 
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
-use crate::link::dialect::{self, MavParamType, MavResult, MavSeverity};
+use crate::link::dialect::{self, MavResult, MavSeverity};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::msg::{Command, TxPower};
 
-/// The radio's only parameter: its transmit power, 1 or 4.
-const PARAM_TX_POWER: &str = "RADIO_TXP";
 const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
 const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
@@ -40,16 +38,13 @@ impl Vehicle {
         } else {
             let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
             match packet.id {
-                dialect::PARAM_SET_DATA::ID if self.radio_is_meant(target(4)) => {
-                    self.param_set(&fields.text(6, 16), fields.f32(0));
+                dialect::PARAM_SET_DATA::ID => {
+                    self.param_set(target(4), &fields.text(6, 16), fields.f32(0), now);
                 }
-                dialect::PARAM_REQUEST_READ_DATA::ID if self.radio_is_meant(target(2)) => {
-                    let index = fields.u16(0) as i16;
-                    if index == 0 || (index == -1 && fields.text(4, 16) == PARAM_TX_POWER) {
-                        self.param_value();
-                    }
+                dialect::PARAM_REQUEST_READ_DATA::ID => {
+                    self.param_read(target(2), fields.u16(0) as i16, &fields.text(4, 16), from);
                 }
-                dialect::PARAM_REQUEST_LIST_DATA::ID if self.radio_is_meant(target(0)) => self.param_value(),
+                dialect::PARAM_REQUEST_LIST_DATA::ID => self.param_list(target(0), from),
                 dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
                     let hz = if fields.u8(5) == 0 { 0 } else { fields.u16(0) };
                     self.set_group(fields.u8(4), f64::from(hz), from, now);
@@ -151,32 +146,6 @@ impl Vehicle {
         }
         self.sim.set_power(power);
         MavResult::MAV_RESULT_ACCEPTED
-    }
-
-    fn param_set(&mut self, name: &str, value: f32) {
-        if name != PARAM_TX_POWER {
-            return;
-        }
-        if let Ok(power) = TxPower::from_level(value) {
-            self.sim.set_power(power);
-        }
-        self.param_value();
-    }
-
-    /// Tells everybody the parameter's value, as the parameter protocol wants it.
-    fn param_value(&mut self) {
-        let value = dialect::PARAM_VALUE_DATA {
-            param_value: self.sim.power().level() as f32,
-            param_count: 1,
-            param_index: 0,
-            param_id: PARAM_TX_POWER.into(),
-            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-        };
-        for (&address, peer) in &mut self.peers {
-            let mut datagram = Vec::new();
-            peer.radio.push(&mut datagram, &value);
-            self.outbox.push_back((address, datagram));
-        }
     }
 
     fn image_wish(&mut self, wish: Wish, from: SocketAddr, now: Duration) {

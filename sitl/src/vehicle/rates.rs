@@ -86,8 +86,27 @@ impl Vehicle {
     /// The interval of a message that nobody has set; none in lockstep.
     fn default_interval(&self, row: &Row) -> Option<Duration> {
         match row.goes {
-            Goes::Stream(hz, _) if self.period.is_some() => interval(hz),
+            Goes::Stream(..) if self.period.is_some() => interval(self.default_hz(row.id)),
             _ => None,
+        }
+    }
+
+    /// The default rate of a message in real time, Hz: the table's, or what was set since.
+    pub(super) fn default_hz(&self, id: u32) -> f64 {
+        let of_table = ROWS.iter().find_map(|row| match row.goes {
+            Goes::Stream(hz, _) if row.id == id => Some(hz),
+            _ => None,
+        });
+        self.default_hz.get(&id).copied().or(of_table).unwrap_or(0.0)
+    }
+
+    /// Sets a message's default rate, and its rate for every peer.
+    pub(super) fn set_default_hz(&mut self, id: u32, hz: f64, now: Duration) {
+        self.default_hz.insert(id, hz);
+        if self.period.is_some() {
+            for peer in self.peers.values_mut() {
+                peer.rates.set(id, interval(hz), now);
+            }
         }
     }
 
