@@ -9,6 +9,7 @@
 //! | `commands` | what is answered: setpoints, commands, image requests |
 //! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
 //! | `messages` | every message that can be asked for, one row each |
+//! | `missions` | that there are none |
 //! | `params` | the parameter tables of both components |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
@@ -22,6 +23,7 @@ mod battery;
 mod commands;
 mod geodesy;
 mod messages;
+mod missions;
 mod params;
 mod rates;
 mod streams;

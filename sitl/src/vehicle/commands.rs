@@ -58,7 +58,7 @@ impl Vehicle {
                         &dialect::TIMESYNC_DATA { tc1: boot_ns, ts1, target_system, target_component },
                     );
                 }
-                _ => {}
+                _ => self.mission(packet, asker, from),
             }
         }
     }
