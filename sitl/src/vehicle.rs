@@ -10,6 +10,7 @@
 //! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
 //! | `messages` | every message that can be asked for, one row each |
 //! | `missions` | that there are none |
+//! | `modes` | mode, arming, takeoff, landing |
 //! | `params` | the parameter tables of both components |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
@@ -24,6 +25,7 @@ mod commands;
 mod geodesy;
 mod messages;
 mod missions;
+mod modes;
 mod params;
 mod rates;
 mod streams;

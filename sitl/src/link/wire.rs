@@ -41,6 +41,8 @@ const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
 const MASK_FORCE: u16 = 512;
 
 const FRAME_LOCAL_NED: u8 = 1;
+/// GLOBAL_RELATIVE_ALT and its old integer twin.
+const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
 
 /// Ticks as milliseconds since the vehicle booted, and the constants that its messages carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -418,6 +420,9 @@ pub struct Ask {
     pub command: u16,
     /// param1 and param2.
     pub params: [f32; 2],
+    /// param7 or z as a height above home, m; not a number if a COMMAND_INT has it in a frame of
+    /// another origin.
+    pub height: f32,
     /// To whom.
     pub target: Target,
 }
@@ -425,14 +430,17 @@ pub struct Ask {
 /// The command in a packet.
 #[must_use]
 pub fn ask_of(packet: &Packet) -> Option<Ask> {
-    // Both have params at 0, command at 28, target at 30 and 31.
+    // Both have params at 0, param7 or z at 24, command at 28, target at 30 and 31.
     if !packet.is::<dialect::COMMAND_LONG_DATA>() && !packet.is::<dialect::COMMAND_INT_DATA>() {
         return None;
     }
     let fields = packet.fields();
+    let above_home =
+        !packet.is::<dialect::COMMAND_INT_DATA>() || FRAMES_RELATIVE_ALT.contains(&fields.u8(32));
     Some(Ask {
         command: fields.u16(28),
         params: [fields.f32(0), fields.f32(4)],
+        height: if above_home { fields.f32(24) } else { f32::NAN },
         target: Target { system: fields.u8(30), component: fields.u8(31) },
     })
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use mavlink::MessageData;
 
+use super::modes::{CMD_ARM_DISARM, CMD_DO_SET_MODE, CMD_NAV_LAND, CMD_NAV_TAKEOFF};
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavResult, MavSeverity};
@@ -48,6 +49,10 @@ impl Vehicle {
                 dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
                     let hz = if fields.u8(5) == 0 { 0 } else { fields.u16(0) };
                     self.set_group(fields.u8(4), f64::from(hz), from, now);
+                }
+                dialect::SET_MODE_DATA::ID if fields.u8(4) == self.system => {
+                    let result = self.set_mode(fields.u8(5), fields.u32(0) as f32, now);
+                    self.ack(dialect::SET_MODE_DATA::ID as u16, result, AUTOPILOT, asker, from);
                 }
                 dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
                     let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
@@ -125,6 +130,10 @@ impl Vehicle {
             CMD_GET_MESSAGE_INTERVAL => {
                 let result = self.tell_interval(ask.params[0], component, from);
                 self.ack(ask.command, result, component, asker, from);
+            }
+            CMD_ARM_DISARM | CMD_DO_SET_MODE | CMD_NAV_TAKEOFF | CMD_NAV_LAND if to_autopilot => {
+                let result = self.mode_command(ask, now);
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
             }
             _ => {
                 self.tally.unsupported += 1;
