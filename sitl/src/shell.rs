@@ -2,12 +2,13 @@
 //!
 //! - lockstep: the arrival of the setpoint for this tick. While it is missing, the percept is sent
 //!   again, so a lost datagram delays a flight and changes nothing.
-//! - real time: a timer, from the first setpoint on.
+//! - real time: a timer, from the first setpoint on. Only here the vehicle has streams by itself; in
+//!   lockstep it sends beside the percept what somebody asked for, and that changes no flight.
 //!
 //! Knows nothing of what a datagram means.
 
 use std::net::SocketAddr;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use tokio::net::UdpSocket;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
@@ -74,6 +75,8 @@ impl Shell {
     /// Puts a vehicle on a socket; `peer` is spoken to first, if given.
     #[must_use]
     pub fn new(socket: UdpSocket, mut vehicle: Vehicle, peer: Option<SocketAddr>) -> Self {
+        // A clock before 1970 is no clock, and the vehicle then says that it has none.
+        vehicle.set_epoch(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).ok());
         if let Some(peer) = peer {
             vehicle.add_peer(peer, Duration::ZERO);
         }
@@ -96,6 +99,7 @@ impl Shell {
             if let Some(ended) = self.ended(&mut last) {
                 return ended;
             }
+            let streams = self.next_stream();
             tokio::select! {
                 () = receive(&self.socket, &mut self.buffer, &mut self.vehicle, self.start) => {
                     if self.vehicle.ready() {
@@ -107,6 +111,7 @@ impl Shell {
                     self.vehicle.send_percept();
                     resend.lengthen();
                 }
+                () = until(streams) => self.vehicle.stream(self.start.elapsed()),
                 _ = beat.tick() => self.vehicle.beat(),
                 _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
             }
@@ -115,6 +120,7 @@ impl Shell {
 
     /// Flies by the clock, one control interval each `period`.
     pub async fn real_time(&mut self, period: Duration) -> Ended {
+        self.vehicle.start_streams(period, self.start.elapsed());
         let mut beat = interval(HEARTBEAT);
         let mut timer = interval(period);
         timer.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -124,6 +130,7 @@ impl Shell {
             if let Some(ended) = self.ended(&mut last) {
                 return ended;
             }
+            let streams = self.next_stream();
             tokio::select! {
                 () = receive(&self.socket, &mut self.buffer, &mut self.vehicle, self.start) => {}
                 _ = timer.tick() => {
@@ -133,6 +140,7 @@ impl Shell {
                         self.vehicle.send_percept();
                     }
                 }
+                () = until(streams) => self.vehicle.stream(self.start.elapsed()),
                 _ = beat.tick() => self.vehicle.beat(),
                 _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
             }
@@ -150,6 +158,11 @@ impl Shell {
         (acknowledged || Instant::now() >= patience).then_some(Ended::Over { acknowledged })
     }
 
+    /// When the next stream has something to send.
+    fn next_stream(&self) -> Option<Instant> {
+        self.vehicle.next_stream().map(|due| self.start + due)
+    }
+
     async fn flush(&mut self) {
         while let Some((to, bytes)) = self.vehicle.poll() {
             // A peer that has gone away is no reason to stop flying.
@@ -157,6 +170,14 @@ impl Shell {
                 tracing::debug!(%to, "sending: {error}");
             }
         }
+    }
+}
+
+/// Returns at that instant, or never.
+async fn until(instant: Option<Instant>) {
+    match instant {
+        Some(instant) => sleep_until(instant).await,
+        None => std::future::pending().await,
     }
 }
 

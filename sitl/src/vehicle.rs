@@ -4,10 +4,30 @@
 //! control interval passes and what time it is. Knows no socket and no clock. It is in GUIDED mode,
 //! armed and in the air from the start, with ArduCopter's mode numbers.
 //!
+//! | module | what it is |
+//! |---|---|
+//! | `commands` | what is answered: setpoints, commands, image requests |
+//! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
+//! | `messages` | every message that can be asked for, one row each |
+//! | `missions` | that there are none |
+//! | `modes` | mode, arming, takeoff, landing |
+//! | `params` | the parameter tables of both components |
+//! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
+//! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
+//!
 //! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
 //! peer that has spoken; pictures to those that asked for them by the image protocol.
 
+#![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
+
+mod battery;
 mod commands;
+mod geodesy;
+mod messages;
+mod missions;
+mod modes;
+mod params;
+mod rates;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -23,6 +43,8 @@ use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::sim::Sim;
 use crate::units::Tick;
+use battery::Battery;
+use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
 const MAX_PEERS: usize = 16;
@@ -36,6 +58,7 @@ pub struct Vehicle {
     clock: Clock,
     system: u8,
     ticks: Option<u64>,
+    battery: Battery,
     peers: BTreeMap<SocketAddr, Peer>,
     outbox: VecDeque<(SocketAddr, Vec<u8>)>,
     /// This tick's picture, once somebody wanted it.
@@ -48,6 +71,12 @@ pub struct Vehicle {
     /// Newest time stamp of a power command, boot ms.
     newest_power: Option<f32>,
     said: BTreeMap<&'static str, Duration>,
+    /// The control interval on the wall's clock; `None` in lockstep.
+    period: Option<Duration>,
+    /// Default rates that were changed, Hz by message.
+    default_hz: BTreeMap<u32, f64>,
+    /// Since 1970 when `now` was zero, if anybody knows.
+    epoch: Option<Duration>,
     tally: Tally,
 }
 
@@ -83,6 +112,7 @@ struct Peer {
     autopilot: Encoder,
     radio: Encoder,
     images: bool,
+    rates: Rates,
     /// Named by configuration: never makes room for others.
     fixed: bool,
     heard: Duration,
@@ -95,9 +125,17 @@ impl Peer {
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
             images: false,
+            rates: Rates::default(),
             fixed,
             heard: now,
         }
+    }
+}
+
+impl Peer {
+    /// The component that speaks to this peer: the radio, else the autopilot.
+    fn encoder(&mut self, component: u8) -> &mut Encoder {
+        if component == RADIO { &mut self.radio } else { &mut self.autopilot }
     }
 }
 
@@ -110,6 +148,7 @@ impl Vehicle {
             sim,
             system,
             ticks,
+            battery: Battery::default(),
             peers: BTreeMap::new(),
             outbox: VecDeque::new(),
             png: None,
@@ -119,13 +158,22 @@ impl Vehicle {
             acknowledged: false,
             newest_power: None,
             said: BTreeMap::new(),
+            period: None,
+            default_hz: BTreeMap::new(),
+            epoch: None,
             tally: Tally::default(),
         }
+    }
+
+    /// Tells the time since 1970 at which `now` was zero; without it SYSTEM_TIME says 0, unknown.
+    pub fn set_epoch(&mut self, epoch: Option<Duration>) {
+        self.epoch = epoch;
     }
 
     /// A peer that is spoken to before it has spoken.
     pub fn add_peer(&mut self, address: SocketAddr, now: Duration) {
         self.peers.insert(address, Peer::new(self.system, true, now));
+        self.set_default_rates(address, now);
         self.greet(address);
     }
 
@@ -151,6 +199,7 @@ impl Vehicle {
         peer.heard = now;
         self.peers.insert(from, peer);
         if is_new {
+            self.set_default_rates(from, now);
             self.greet(from);
             self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
         }
@@ -193,7 +242,10 @@ impl Vehicle {
         let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
         self.sim.advance();
         (self.ready, self.png, self.sendings) = (false, None, 0);
-        let after = self.sim.telemetry().link.is_some_and(|link| link.outage);
+        let link = self.sim.telemetry().link;
+        let after = link.is_some_and(|link| link.outage);
+        let power = link.map_or(self.sim.power(), |link| link.power);
+        self.battery.spend(self.sim.world().uav.v.norm(), power, self.sim.scenario());
         let tick = self.sim.tick();
         match (before, after) {
             (false, true) => self.say(

@@ -41,6 +41,8 @@ const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
 const MASK_FORCE: u16 = 512;
 
 const FRAME_LOCAL_NED: u8 = 1;
+/// GLOBAL_RELATIVE_ALT and its old integer twin.
+const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
 
 /// Ticks as milliseconds since the vehicle booted, and the constants that its messages carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,16 +91,29 @@ pub fn push_telemetry(
     radio: &mut Encoder,
     datagram: &mut Vec<u8>,
 ) {
+    push_position(report, clock, autopilot, datagram);
+    push_held(report, clock, autopilot, datagram);
+    push_obstacle(report, clock, autopilot, datagram);
+    if let Some(link) = report.link {
+        push_link_values(&link, clock.boot_ms(report.tick), radio, datagram);
+        push_radio_status(&link, radio, datagram);
+    }
+}
+
+/// Appends LOCAL_POSITION_NED.
+pub fn push_position(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let ([x, y], [vx, vy]) = (report.position, report.velocity);
     let time_boot_ms = clock.boot_ms(report.tick);
-    let [x, y] = report.position;
-    let [vx, vy] = report.velocity;
     let position =
         dialect::LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z: -clock.altitude_m, vx, vy, vz: 0.0 };
     autopilot.push(datagram, &position);
+}
 
+/// Appends POSITION_TARGET_LOCAL_NED.
+pub fn push_held(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     let (stamp, [afx, afy], mask) = match report.held {
         Some(held) => (clock.boot_ms(held.tick), held.accel, MASK_ACCEL),
-        None => (time_boot_ms, [0.0; 2], MASK_NOTHING),
+        None => (clock.boot_ms(report.tick), [0.0; 2], MASK_NOTHING),
     };
     let target = dialect::POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: stamp,
@@ -109,22 +124,22 @@ pub fn push_telemetry(
         ..Default::default()
     };
     autopilot.push(datagram, &target);
+}
 
+/// Appends DEBUG_VECT `OBSTACLE`.
+pub fn push_obstacle(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     let obstacle = dialect::DEBUG_VECT_DATA {
-        time_usec: u64::from(time_boot_ms) * 1000,
+        time_usec: u64::from(clock.boot_ms(report.tick)) * 1000,
         x: report.obstacle[0],
         y: report.obstacle[1],
         z: clock.obstacle_radius_m,
         name: "OBSTACLE".into(),
     };
     autopilot.push(datagram, &obstacle);
-
-    if let Some(link) = report.link {
-        push_link(&link, time_boot_ms, radio, datagram);
-    }
 }
 
-fn push_link(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram: &mut Vec<u8>) {
+/// Appends NAMED_VALUE_FLOAT `SNR_DB`, `TXP` and `OUTAGE`.
+pub fn push_link_values(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram: &mut Vec<u8>) {
     let values = [
         ("SNR_DB", link.snr_db),
         ("TXP", link.power.level() as f32),
@@ -133,6 +148,10 @@ fn push_link(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram
     for (name, value) in values {
         radio.push(datagram, &dialect::NAMED_VALUE_FLOAT_DATA { time_boot_ms, value, name: name.into() });
     }
+}
+
+/// Appends RADIO_STATUS.
+pub fn push_radio_status(link: &LinkReport, radio: &mut Encoder, datagram: &mut Vec<u8>) {
     // 255 is "unknown" in the standard.
     let status = dialect::RADIO_STATUS_DATA {
         rssi: (127.0 + 2.0 * link.snr_db).round().clamp(0.0, 254.0) as u8,
@@ -401,6 +420,9 @@ pub struct Ask {
     pub command: u16,
     /// param1 and param2.
     pub params: [f32; 2],
+    /// param7 or z as a height above home, m; not a number if a COMMAND_INT has it in a frame of
+    /// another origin.
+    pub height: f32,
     /// To whom.
     pub target: Target,
 }
@@ -408,14 +430,17 @@ pub struct Ask {
 /// The command in a packet.
 #[must_use]
 pub fn ask_of(packet: &Packet) -> Option<Ask> {
-    // Both have params at 0, command at 28, target at 30 and 31.
+    // Both have params at 0, param7 or z at 24, command at 28, target at 30 and 31.
     if !packet.is::<dialect::COMMAND_LONG_DATA>() && !packet.is::<dialect::COMMAND_INT_DATA>() {
         return None;
     }
     let fields = packet.fields();
+    let above_home =
+        !packet.is::<dialect::COMMAND_INT_DATA>() || FRAMES_RELATIVE_ALT.contains(&fields.u8(32));
     Some(Ask {
         command: fields.u16(28),
         params: [fields.f32(0), fields.f32(4)],
+        height: if above_home { fields.f32(24) } else { f32::NAN },
         target: Target { system: fields.u8(30), component: fields.u8(31) },
     })
 }

@@ -1,22 +1,24 @@
-//! What the vehicle answers: setpoints, commands, the radio's parameter, image requests, echoes.
+//! What the vehicle answers: setpoints, commands, image requests, echoes.
 
 use std::net::SocketAddr;
 use std::time::Duration;
 
 use mavlink::MessageData;
 
-use super::Vehicle;
+use super::modes::{CMD_ARM_DISARM, CMD_DO_SET_MODE, CMD_NAV_LAND, CMD_NAV_TAKEOFF};
+use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
-use crate::link::dialect::{self, MavParamType, MavProtocolCapability, MavResult, MavSeverity};
+use crate::link::dialect::{self, MavResult, MavSeverity};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::msg::{Command, TxPower};
 
-/// The radio's only parameter: its transmit power, 1 or 4.
-const PARAM_TX_POWER: &str = "RADIO_TXP";
+const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
+const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
+const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 
 impl Vehicle {
     pub(super) fn packet(&mut self, packet: &Packet, from: SocketAddr, now: Duration) {
@@ -31,22 +33,27 @@ impl Vehicle {
                 self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
-            self.ask(&ask, asker, from);
+            self.ask(&ask, asker, from, now);
         } else if let Some(handshake) = Handshake::of(packet) {
             self.image_wish(handshake.wish(), from, now);
         } else {
             let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
             match packet.id {
-                dialect::PARAM_SET_DATA::ID if self.radio_is_meant(target(4)) => {
-                    self.param_set(&fields.text(6, 16), fields.f32(0));
+                dialect::PARAM_SET_DATA::ID => {
+                    self.param_set(target(4), &fields.text(6, 16), fields.f32(0), now);
                 }
-                dialect::PARAM_REQUEST_READ_DATA::ID if self.radio_is_meant(target(2)) => {
-                    let index = fields.u16(0) as i16;
-                    if index == 0 || (index == -1 && fields.text(4, 16) == PARAM_TX_POWER) {
-                        self.param_value();
-                    }
+                dialect::PARAM_REQUEST_READ_DATA::ID => {
+                    self.param_read(target(2), fields.u16(0) as i16, &fields.text(4, 16), from);
                 }
-                dialect::PARAM_REQUEST_LIST_DATA::ID if self.radio_is_meant(target(0)) => self.param_value(),
+                dialect::PARAM_REQUEST_LIST_DATA::ID => self.param_list(target(0), from),
+                dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
+                    let hz = if fields.u8(5) == 0 { 0 } else { fields.u16(0) };
+                    self.set_group(fields.u8(4), f64::from(hz), from, now);
+                }
+                dialect::SET_MODE_DATA::ID if fields.u8(4) == self.system => {
+                    let result = self.set_mode(fields.u8(5), fields.u32(0) as f32, now);
+                    self.ack(dialect::SET_MODE_DATA::ID as u16, result, AUTOPILOT, asker, from);
+                }
                 dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
                     let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
                     let (target_system, target_component) = asker;
@@ -56,7 +63,7 @@ impl Vehicle {
                         &dialect::TIMESYNC_DATA { tc1: boot_ns, ts1, target_system, target_component },
                     );
                 }
-                _ => {}
+                _ => self.mission(packet, asker, from),
             }
         }
     }
@@ -95,32 +102,43 @@ impl Vehicle {
         self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
     }
 
-    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr) {
+    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
+        let component = if to_autopilot { AUTOPILOT } else { RADIO };
         match ask.command {
             CMD_TX_POWER if to_radio => {
                 let result = self.tx_power(ask.params);
                 self.ack(ask.command, result, RADIO, asker, from);
             }
-            CMD_REQUEST_MESSAGE if to_autopilot => {
-                let known = ask.params[0] == dialect::AUTOPILOT_VERSION_DATA::ID as f32;
-                let result =
-                    if known { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED };
-                self.ack(ask.command, result, AUTOPILOT, asker, from);
-                if known {
-                    self.reply(from, &version(self.system));
+            _ if !to_autopilot && !to_radio => {}
+            CMD_REQUEST_MESSAGE => {
+                let found = self.requested(ask.params[0], component, now);
+                self.ack(ask.command, found.err().unwrap_or(OK), component, asker, from);
+                if let Ok(row) = found {
+                    self.send_message(row, from, now);
                 }
             }
             CMD_REQUEST_CAPABILITIES if to_autopilot => {
-                self.ack(ask.command, MavResult::MAV_RESULT_ACCEPTED, AUTOPILOT, asker, from);
-                self.reply(from, &version(self.system));
+                self.ack(ask.command, OK, AUTOPILOT, asker, from);
+                let version = messages::version(&self.state(now));
+                self.reply(from, &version);
             }
-            _ if to_autopilot || to_radio => {
+            CMD_SET_MESSAGE_INTERVAL => {
+                let result = self.set_interval(ask.params, component, from, now);
+                self.ack(ask.command, result, component, asker, from);
+            }
+            CMD_GET_MESSAGE_INTERVAL => {
+                let result = self.tell_interval(ask.params[0], component, from);
+                self.ack(ask.command, result, component, asker, from);
+            }
+            CMD_ARM_DISARM | CMD_DO_SET_MODE | CMD_NAV_TAKEOFF | CMD_NAV_LAND if to_autopilot => {
+                let result = self.mode_command(ask, now);
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
+            }
+            _ => {
                 self.tally.unsupported += 1;
-                let component = if to_autopilot { AUTOPILOT } else { RADIO };
                 self.ack(ask.command, MavResult::MAV_RESULT_UNSUPPORTED, component, asker, from);
             }
-            _ => {}
         }
     }
 
@@ -137,32 +155,6 @@ impl Vehicle {
         }
         self.sim.set_power(power);
         MavResult::MAV_RESULT_ACCEPTED
-    }
-
-    fn param_set(&mut self, name: &str, value: f32) {
-        if name != PARAM_TX_POWER {
-            return;
-        }
-        if let Ok(power) = TxPower::from_level(value) {
-            self.sim.set_power(power);
-        }
-        self.param_value();
-    }
-
-    /// Tells everybody the parameter's value, as the parameter protocol wants it.
-    fn param_value(&mut self) {
-        let value = dialect::PARAM_VALUE_DATA {
-            param_value: self.sim.power().level() as f32,
-            param_count: 1,
-            param_index: 0,
-            param_id: PARAM_TX_POWER.into(),
-            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-        };
-        for (&address, peer) in &mut self.peers {
-            let mut datagram = Vec::new();
-            peer.radio.push(&mut datagram, &value);
-            self.outbox.push_back((address, datagram));
-        }
     }
 
     fn image_wish(&mut self, wish: Wish, from: SocketAddr, now: Duration) {
@@ -197,7 +189,7 @@ impl Vehicle {
         target.is(self.system, RADIO)
     }
 
-    fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
+    pub(super) fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.autopilot.push(&mut datagram, message);
@@ -206,20 +198,8 @@ impl Vehicle {
 
     fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: SocketAddr) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
-        let encoder = if component == RADIO { &mut peer.radio } else { &mut peer.autopilot };
         let mut datagram = Vec::new();
-        encoder.push_ack(&mut datagram, command, result, asker);
+        peer.encoder(component).push_ack(&mut datagram, command, result, asker);
         self.outbox.push_back((to, datagram));
-    }
-}
-
-fn version(system: u8) -> dialect::AUTOPILOT_VERSION_DATA {
-    dialect::AUTOPILOT_VERSION_DATA {
-        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
-            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
-        uid: u64::from(system),
-        ..Default::default()
     }
 }

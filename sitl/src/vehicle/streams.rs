@@ -1,16 +1,17 @@
-//! What the vehicle sends unasked: heartbeats, the percept of each tick, texts.
+//! What the vehicle sends unasked: heartbeats, the percept of each tick, streams, texts.
 
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use super::messages::{self, Row, State};
 use super::{TEXT_PAUSE, Vehicle};
-use crate::link::dialect::{self, MavAutopilot, MavModeFlag, MavSeverity, MavState, MavType};
+use crate::link::AUTOPILOT;
+use crate::link::dialect::{self, MavSeverity};
+use crate::link::encoder::DATAGRAM;
 use crate::link::{image, wire};
 
-/// ArduCopter's number of GUIDED.
-const MODE_GUIDED: u32 = 4;
-/// Armed, guided, stabilised, manual input and custom mode, as ArduCopter in GUIDED says.
-const BASE_MODE: u8 = 217;
+/// No row of the table is longer, bytes.
+const LONGEST: usize = 280;
 
 impl Vehicle {
     /// A second has passed on the wall: both components say that they are there.
@@ -31,6 +32,64 @@ impl Vehicle {
             self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
         }
         self.sendings += 1;
+    }
+
+    /// From here on the vehicle is in real time, a control interval each `period` on the wall: all
+    /// peers, those to come too, have the default streams.
+    pub fn start_streams(&mut self, period: Duration, now: Duration) {
+        self.period = Some(period);
+        for address in self.addresses() {
+            self.set_default_rates(address, now);
+        }
+    }
+
+    /// When [`Vehicle::stream`] has something to send next, on the clock of `now`.
+    #[must_use]
+    pub fn next_stream(&self) -> Option<Duration> {
+        self.peers.values().filter_map(|peer| peer.rates.due()).min()
+    }
+
+    /// Sends every stream that is due.
+    pub fn stream(&mut self, now: Duration) {
+        let state = self.state(now);
+        for (&address, peer) in &mut self.peers {
+            let mut datagram = Vec::new();
+            for id in peer.rates.take_due(now) {
+                let Some(row) = messages::row(id, AUTOPILOT) else { continue };
+                row.push(&state, peer.encoder(row.component), &mut datagram);
+                if datagram.len() > DATAGRAM - LONGEST {
+                    self.outbox.push_back((address, std::mem::take(&mut datagram)));
+                }
+            }
+            if !datagram.is_empty() {
+                self.outbox.push_back((address, datagram));
+            }
+        }
+    }
+
+    /// What messages are made of, now.
+    pub(super) fn state(&self, now: Duration) -> State {
+        let scenario = self.sim.scenario();
+        let flown = self.sim.flown() * scenario.dynamics.a_max;
+        State {
+            accel: scenario.scale.ned_from_paper_acceleration(flown),
+            altitude_m: scenario.scale.altitude_m,
+            battery: self.battery,
+            fates: self.sim.fates(),
+            report: self.sim.telemetry(),
+            clock: self.clock,
+            system: self.system,
+            unix: self.epoch.map(|epoch| epoch + now),
+        }
+    }
+
+    /// Sends one message to one peer.
+    pub(super) fn send_message(&mut self, row: &Row, to: SocketAddr, now: Duration) {
+        let state = self.state(now);
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let mut datagram = Vec::new();
+        row.push(&state, peer.encoder(row.component), &mut datagram);
+        self.outbox.push_back((to, datagram));
     }
 
     /// The first words to a new peer. Routers forward to a component only once they heard it.
@@ -66,25 +125,9 @@ impl Vehicle {
 
     fn heartbeat(&mut self, address: SocketAddr) {
         let Some(peer) = self.peers.get_mut(&address) else { return };
-        let autopilot = dialect::HEARTBEAT_DATA {
-            custom_mode: MODE_GUIDED,
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
-            base_mode: MavModeFlag::from_bits_retain(BASE_MODE),
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-        };
-        // Clients must not take the radio for a vehicle, hence this type.
-        let radio = dialect::HEARTBEAT_DATA {
-            custom_mode: 0,
-            mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            base_mode: MavModeFlag::empty(),
-            ..autopilot.clone()
-        };
         let mut datagram = Vec::new();
-        peer.autopilot.push(&mut datagram, &autopilot);
-        peer.radio.push(&mut datagram, &radio);
+        peer.autopilot.push(&mut datagram, &messages::autopilot_heartbeat());
+        peer.radio.push(&mut datagram, &messages::radio_heartbeat());
         self.outbox.push_back((address, datagram));
     }
 

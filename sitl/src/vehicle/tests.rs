@@ -1,3 +1,11 @@
+//! The vehicle as its peers meet it; what they can ask for is in the modules below.
+
+mod missions;
+mod modes;
+mod params;
+mod rates;
+mod telemetry;
+
 use mavlink::MessageData;
 
 use super::*;

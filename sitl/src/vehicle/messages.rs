@@ -1,0 +1,308 @@
+//! Every message that the vehicle can be asked for by number, one row each. Knows what a message
+//! says, not when it goes.
+//!
+//! | message | id | from | goes | in group of REQUEST_DATA_STREAM |
+//! |---|---|---|---|---|
+//! | HEARTBEAT | 0 | 1, 68 | 1 Hz, always | |
+//! | LOCAL_POSITION_NED | 32 | 1 | in every percept | |
+//! | POSITION_TARGET_LOCAL_NED | 85 | 1 | in every percept | |
+//! | DEBUG_VECT `OBSTACLE` | 250 | 1 | in every percept | |
+//! | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 251 | 68 | in every percept from tick 1 on | |
+//! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
+//! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
+//! | GLOBAL_POSITION_INT: home plus the local position | 33 | 1 | 4 Hz | POSITION |
+//! | SYS_STATUS: battery; radio packets lost | 1 | 1 | 1 Hz | EXTENDED_STATUS |
+//! | SYSTEM_TIME | 2 | 1 | 1 Hz | EXTRA3 |
+//! | EXTENDED_SYS_STATE | 245 | 1 | 1 Hz | EXTENDED_STATUS |
+//! | BATTERY_STATUS: energy really spent | 147 | 1 | 0.5 Hz | EXTRA3 |
+//! | HOME_POSITION: the local frame's origin | 242 | 1 | 0.5 Hz | EXTRA3 |
+//! | GPS_GLOBAL_ORIGIN: the same | 49 | 1 | on request | |
+//! | AUTOPILOT_VERSION | 148 | 1 | on request | |
+//! | PROTOCOL_VERSION | 300 | 1 | on request | |
+//!
+//! The rates are those of the real-time pace; in lockstep only heartbeats and percepts go by
+//! themselves. Time stamps are those of the tick whose state is told; SYSTEM_TIME's 1970 part is the
+//! wall's.
+
+use std::time::Duration;
+
+use mavlink::MessageData;
+
+use super::battery::Battery;
+use super::geodesy::{self, HOME};
+use crate::link::dialect::{
+    self, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState, MavSysStatusSensor,
+    MavSysStatusSensorExtended, MavType, MavVtolState,
+};
+use crate::link::encoder::Encoder;
+use crate::link::wire::{self, Clock};
+use crate::link::{AUTOPILOT, RADIO};
+use crate::msg::Telemetry;
+use crate::radio::Fates;
+
+/// ArduCopter's number of GUIDED.
+pub(super) const MODE_GUIDED: u32 = 4;
+/// Armed, guided, stabilised, manual input and custom mode, as ArduCopter in GUIDED says.
+const BASE_MODE: u8 = 217;
+
+/// What messages are made of: the vehicle at one moment.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct State {
+    pub report: Telemetry,
+    pub clock: Clock,
+    pub system: u8,
+    /// Flown: north, east, m/s².
+    pub accel: [f32; 2],
+    pub altitude_m: f64,
+    pub battery: Battery,
+    pub fates: Fates,
+    /// Since 1970, if known.
+    pub unix: Option<Duration>,
+}
+
+/// When a message goes without being asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Goes {
+    /// Once a second on the wall, in every pace.
+    Heartbeat,
+    /// With every control interval.
+    Percept,
+    /// In real time so many times a second; with others of its group.
+    Stream(f64, Group),
+    /// Only if somebody asks.
+    OnRequest,
+}
+
+/// Groups of REQUEST_DATA_STREAM, by MAV_DATA_STREAM.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Group {
+    ExtendedStatus = 2,
+    Position = 6,
+    Extra1 = 10,
+    Extra3 = 12,
+}
+
+impl Group {
+    /// Whether a request for this MAV_DATA_STREAM means the group; 0 is all.
+    pub fn is(self, stream: u8) -> bool {
+        stream == 0 || stream == self as u8
+    }
+}
+
+/// A message that the vehicle has.
+pub(super) struct Row {
+    pub id: u32,
+    pub component: u8,
+    pub goes: Goes,
+    push: fn(&State, &mut Encoder, &mut Vec<u8>),
+}
+
+impl Row {
+    /// Whether there is something to tell: the radio has no report before its first interval.
+    pub fn ready(&self, state: &State) -> bool {
+        self.component != RADIO || self.goes != Goes::Percept || state.report.link.is_some()
+    }
+
+    /// Appends the message, if it is ready. `encoder` must be that of [`Row::component`].
+    pub fn push(&self, state: &State, encoder: &mut Encoder, datagram: &mut Vec<u8>) {
+        if self.ready(state) {
+            (self.push)(state, encoder, datagram);
+        }
+    }
+}
+
+/// The row with this id that a component answers for: the radio for its own, the autopilot for all.
+pub(super) fn row(id: u32, component: u8) -> Option<&'static Row> {
+    let own = ROWS.iter().find(|row| row.id == id && row.component == component);
+    own.or_else(|| ROWS.iter().find(|row| row.id == id && component == AUTOPILOT))
+}
+
+/// A row of the autopilot whose message is made by a function of the state.
+macro_rules! row {
+    ($message:ident, $goes:expr, $make:expr) => {
+        Row {
+            id: dialect::$message::ID,
+            component: AUTOPILOT,
+            goes: $goes,
+            push: |state, encoder, datagram| encoder.push(datagram, &$make(state)),
+        }
+    };
+}
+
+/// A message of the percept: the same bytes as in the report.
+const fn percept(id: u32, component: u8, push: fn(&State, &mut Encoder, &mut Vec<u8>)) -> Row {
+    Row { id, component, goes: Goes::Percept, push }
+}
+
+/// All rows, in the order of the table above.
+pub(super) static ROWS: &[Row] = &[
+    row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &State| autopilot_heartbeat()),
+    Row { component: RADIO, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &State| radio_heartbeat()) },
+    percept(dialect::LOCAL_POSITION_NED_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
+        wire::push_position(&state.report, &state.clock, encoder, datagram);
+    }),
+    percept(dialect::POSITION_TARGET_LOCAL_NED_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
+        wire::push_held(&state.report, &state.clock, encoder, datagram);
+    }),
+    percept(dialect::DEBUG_VECT_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
+        wire::push_obstacle(&state.report, &state.clock, encoder, datagram);
+    }),
+    percept(dialect::NAMED_VALUE_FLOAT_DATA::ID, RADIO, |state, encoder, datagram| {
+        if let Some(link) = &state.report.link {
+            wire::push_link_values(link, state.boot_ms(), encoder, datagram);
+        }
+    }),
+    percept(dialect::RADIO_STATUS_DATA::ID, RADIO, |state, encoder, datagram| {
+        if let Some(link) = &state.report.link {
+            wire::push_radio_status(link, encoder, datagram);
+        }
+    }),
+    row!(ATTITUDE_DATA, Goes::Stream(4.0, Group::Extra1), attitude),
+    row!(GLOBAL_POSITION_INT_DATA, Goes::Stream(4.0, Group::Position), global_position),
+    row!(SYS_STATUS_DATA, Goes::Stream(1.0, Group::ExtendedStatus), system_status),
+    row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
+    row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),
+    row!(BATTERY_STATUS_DATA, Goes::Stream(0.5, Group::Extra3), |state: &State| state.battery.status()),
+    row!(HOME_POSITION_DATA, Goes::Stream(0.5, Group::Extra3), home_position),
+    row!(GPS_GLOBAL_ORIGIN_DATA, Goes::OnRequest, origin),
+    row!(AUTOPILOT_VERSION_DATA, Goes::OnRequest, version),
+    row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
+];
+
+impl State {
+    /// `time_boot_ms` of the state.
+    pub fn boot_ms(&self) -> u32 {
+        self.clock.boot_ms(self.report.tick)
+    }
+}
+
+/// HEARTBEAT of component 1.
+pub(super) fn autopilot_heartbeat() -> dialect::HEARTBEAT_DATA {
+    dialect::HEARTBEAT_DATA {
+        custom_mode: MODE_GUIDED,
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+        base_mode: MavModeFlag::from_bits_retain(BASE_MODE),
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    }
+}
+
+/// HEARTBEAT of component 68. Clients must not take the radio for a vehicle, hence this type.
+pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
+    dialect::HEARTBEAT_DATA {
+        custom_mode: 0,
+        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        base_mode: MavModeFlag::empty(),
+        ..autopilot_heartbeat()
+    }
+}
+
+/// Level but for the tilt; between two ticks the acceleration is constant, so nothing turns.
+fn attitude(state: &State) -> dialect::ATTITUDE_DATA {
+    let [roll, pitch] = geodesy::tilt(state.accel);
+    dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
+}
+
+fn global_position(state: &State) -> dialect::GLOBAL_POSITION_INT_DATA {
+    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [vx, vy] = state.report.velocity.map(|speed| (speed * 100.0).round() as i16);
+    dialect::GLOBAL_POSITION_INT_DATA {
+        time_boot_ms: state.boot_ms(),
+        lat,
+        lon,
+        alt: millimetres(HOME[2] + state.altitude_m),
+        relative_alt: millimetres(state.altitude_m),
+        vx,
+        vy,
+        vz: 0,
+        hdg: 0,
+    }
+}
+
+fn millimetres(metres: f64) -> i32 {
+    (metres * 1e3).round() as i32
+}
+
+/// Nothing is measured: positions are the simulator's truth. Packets lost are the radio's.
+fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
+    let sensors = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_EXTERNAL_GROUND_TRUTH
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+        | MavSysStatusSensor::MAV_SYS_STATUS_AHRS
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_BATTERY
+        | MavSysStatusSensor::MAV_SYS_STATUS_PREARM_CHECK;
+    let Fates { sent, lost, .. } = state.fates;
+    dialect::SYS_STATUS_DATA {
+        onboard_control_sensors_present: sensors,
+        onboard_control_sensors_enabled: sensors,
+        onboard_control_sensors_health: sensors,
+        load: 0,
+        voltage_battery: state.battery.millivolts(),
+        current_battery: state.battery.centiamperes(),
+        drop_rate_comm: (lost * 10_000 / sent.max(1)) as u16,
+        errors_comm: u16::try_from(lost).unwrap_or(u16::MAX),
+        errors_count1: 0,
+        errors_count2: 0,
+        errors_count3: 0,
+        errors_count4: 0,
+        battery_remaining: state.battery.remaining(),
+        onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
+        onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
+        onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
+    }
+}
+
+fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
+    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    dialect::HOME_POSITION_DATA {
+        latitude,
+        longitude,
+        altitude: millimetres(HOME[2]),
+        q: [1.0, 0.0, 0.0, 0.0],
+        time_usec: u64::from(state.boot_ms()) * 1000,
+        ..Default::default()
+    }
+}
+
+fn origin(state: &State) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
+    let home = home_position(state);
+    dialect::GPS_GLOBAL_ORIGIN_DATA {
+        latitude: home.latitude,
+        longitude: home.longitude,
+        altitude: home.altitude,
+        time_usec: home.time_usec,
+    }
+}
+
+fn system_time(state: &State) -> dialect::SYSTEM_TIME_DATA {
+    let time_unix_usec = state.unix.map_or(0, |unix| unix.as_micros() as u64);
+    dialect::SYSTEM_TIME_DATA { time_unix_usec, time_boot_ms: state.boot_ms() }
+}
+
+fn extended_state(_: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
+    dialect::EXTENDED_SYS_STATE_DATA {
+        vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED,
+        landed_state: MavLandedState::MAV_LANDED_STATE_IN_AIR,
+    }
+}
+
+/// What the vehicle can do, and nothing else: no mission, no file transfer, no fence.
+pub(super) fn version(state: &State) -> dialect::AUTOPILOT_VERSION_DATA {
+    dialect::AUTOPILOT_VERSION_DATA {
+        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+        uid: u64::from(state.system),
+        ..Default::default()
+    }
+}
+
+/// MAVLink 2 is spoken, and nothing older.
+fn protocol(_: &State) -> dialect::PROTOCOL_VERSION_DATA {
+    dialect::PROTOCOL_VERSION_DATA { version: 200, min_version: 200, max_version: 200, ..Default::default() }
+}

@@ -1,0 +1,199 @@
+//! How often each peer gets what: the vehicle's answers to SET_MESSAGE_INTERVAL,
+//! GET_MESSAGE_INTERVAL, REQUEST_MESSAGE and REQUEST_DATA_STREAM. Rates belong to the peer that asked.
+//!
+//! | asked | answered |
+//! |---|---|
+//! | SET_MESSAGE_INTERVAL -1, 0 (the default rate), 20 ms to 2147 s | ACCEPTED |
+//! | another interval, not a number, an unknown message | DENIED |
+//! | a percept's message, at -1 | DENIED: it goes with every control interval |
+//! | a percept's message, faster than the control interval | ACCEPTED: beside the percept |
+//! | a percept's message, slower | ACCEPTED: the percept has it as often already |
+//! | HEARTBEAT | ACCEPTED at 0 and 1 s, else DENIED |
+//! | GET_MESSAGE_INTERVAL | MESSAGE_INTERVAL (us, -1 for none), then ACCEPTED; unknown: 0, then DENIED |
+//! | REQUEST_MESSAGE | ACCEPTED, then the message; unknown: DENIED; the radio's before tick 1: TEMPORARILY_REJECTED |
+//! | REQUEST_DATA_STREAM | the group's streams, at most 50 Hz; percepts stay |
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use super::Vehicle;
+use super::messages::{self, Goes, ROWS, Row};
+use crate::link::dialect::{self, MavResult};
+
+/// The shortest interval of a stream: 50 Hz.
+const SHORTEST_US: f32 = 20_000.0;
+const HEARTBEAT_US: i32 = 1_000_000;
+
+/// The streams of a peer.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Rates {
+    streams: BTreeMap<u32, Stream>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Stream {
+    every: Duration,
+    due: Duration,
+}
+
+impl Rates {
+    /// Sends a message so often from now on, or no longer.
+    pub fn set(&mut self, id: u32, every: Option<Duration>, now: Duration) {
+        match every {
+            Some(every) => self.streams.insert(id, Stream { every, due: now }),
+            None => self.streams.remove(&id),
+        };
+    }
+
+    /// The interval of a message.
+    pub fn every(&self, id: u32) -> Option<Duration> {
+        self.streams.get(&id).map(|stream| stream.every)
+    }
+
+    /// When the next message is due.
+    pub fn due(&self) -> Option<Duration> {
+        self.streams.values().map(|stream| stream.due).min()
+    }
+
+    /// The messages that are due. What a busy machine has missed is left out, not made up for.
+    pub fn take_due(&mut self, now: Duration) -> Vec<u32> {
+        let mut due = Vec::new();
+        for (&id, stream) in self.streams.iter_mut().filter(|(_, stream)| stream.due <= now) {
+            due.push(id);
+            stream.due = (stream.due + stream.every).max(now + stream.every / 2);
+        }
+        due
+    }
+}
+
+/// The interval of so many messages a second; none for 0.
+fn interval(hz: f64) -> Option<Duration> {
+    (hz > 0.0).then(|| Duration::from_secs_f64(1.0 / hz.min(1e6 / f64::from(SHORTEST_US))))
+}
+
+impl Vehicle {
+    /// Gives a peer the streams that it need not ask for.
+    pub(super) fn set_default_rates(&mut self, address: SocketAddr, now: Duration) {
+        for row in ROWS {
+            let every = self.default_interval(row);
+            if let Some(peer) = self.peers.get_mut(&address) {
+                peer.rates.set(row.id, every, now);
+            }
+        }
+    }
+
+    /// The interval of a message that nobody has set; none in lockstep.
+    fn default_interval(&self, row: &Row) -> Option<Duration> {
+        match row.goes {
+            Goes::Stream(..) if self.period.is_some() => interval(self.default_hz(row.id)),
+            _ => None,
+        }
+    }
+
+    /// The default rate of a message in real time, Hz: the table's, or what was set since.
+    pub(super) fn default_hz(&self, id: u32) -> f64 {
+        let of_table = ROWS.iter().find_map(|row| match row.goes {
+            Goes::Stream(hz, _) if row.id == id => Some(hz),
+            _ => None,
+        });
+        self.default_hz.get(&id).copied().or(of_table).unwrap_or(0.0)
+    }
+
+    /// Sets a message's default rate, and its rate for every peer.
+    pub(super) fn set_default_hz(&mut self, id: u32, hz: f64, now: Duration) {
+        self.default_hz.insert(id, hz);
+        if self.period.is_some() {
+            for peer in self.peers.values_mut() {
+                peer.rates.set(id, interval(hz), now);
+            }
+        }
+    }
+
+    /// The message with this number, if there is something to tell.
+    pub(super) fn requested(
+        &self,
+        number: f32,
+        component: u8,
+        now: Duration,
+    ) -> Result<&'static Row, MavResult> {
+        let row = row(number, component).ok_or(MavResult::MAV_RESULT_DENIED)?;
+        if row.ready(&self.state(now)) { Ok(row) } else { Err(MavResult::MAV_RESULT_TEMPORARILY_REJECTED) }
+    }
+
+    /// SET_MESSAGE_INTERVAL.
+    pub(super) fn set_interval(
+        &mut self,
+        [number, us]: [f32; 2],
+        component: u8,
+        from: SocketAddr,
+        now: Duration,
+    ) -> MavResult {
+        let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
+        let control = self.control_interval();
+        let every = match us {
+            0.0 => self.default_interval(row),
+            -1.0 if row.goes == Goes::Percept => return MavResult::MAV_RESULT_DENIED,
+            -1.0 => None,
+            us if (SHORTEST_US..i32::MAX as f32).contains(&us) => {
+                Some(Duration::from_secs_f64(f64::from(us) / 1e6))
+            }
+            _ => return MavResult::MAV_RESULT_DENIED,
+        };
+        if row.goes == Goes::Heartbeat {
+            let same = us == 0.0 || us == HEARTBEAT_US as f32;
+            return if same { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED };
+        }
+        let every = every.filter(|&every| row.goes != Goes::Percept || every < control);
+        if let Some(peer) = self.peers.get_mut(&from) {
+            peer.rates.set(row.id, every, now);
+        }
+        MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    /// GET_MESSAGE_INTERVAL: tells the interval; gives the result to acknowledge.
+    pub(super) fn tell_interval(&mut self, number: f32, component: u8, from: SocketAddr) -> MavResult {
+        let row = row(number, component);
+        let message_id = row.map_or(number as u16, |row| row.id as u16);
+        let interval_us = row.map_or(0, |row| self.interval_us(row, from));
+        let Some(peer) = self.peers.get_mut(&from) else { return MavResult::MAV_RESULT_FAILED };
+        let mut datagram = Vec::new();
+        peer.encoder(component)
+            .push(&mut datagram, &dialect::MESSAGE_INTERVAL_DATA { interval_us, message_id });
+        self.outbox.push_back((from, datagram));
+        if row.is_some() { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED }
+    }
+
+    fn interval_us(&self, row: &Row, peer: SocketAddr) -> i32 {
+        let stream = self.peers.get(&peer).and_then(|peer| peer.rates.every(row.id));
+        match (row.goes, stream) {
+            (Goes::Heartbeat, _) => HEARTBEAT_US,
+            (_, Some(every)) => every.as_micros() as i32,
+            (Goes::Percept, None) => self.control_interval().as_micros() as i32,
+            (_, None) => -1,
+        }
+    }
+
+    /// The control interval on the wall; in lockstep, where the wall has none, the vehicle's.
+    fn control_interval(&self) -> Duration {
+        self.period.unwrap_or_else(|| Duration::from_secs_f64(self.clock.interval_s()))
+    }
+
+    /// REQUEST_DATA_STREAM: so many messages a second of each stream of a group; 0 stops them.
+    pub(super) fn set_group(&mut self, group: u8, hz: f64, from: SocketAddr, now: Duration) {
+        let Some(peer) = self.peers.get_mut(&from) else { return };
+        for row in ROWS {
+            if let Goes::Stream(_, member_of) = row.goes
+                && member_of.is(group)
+            {
+                peer.rates.set(row.id, interval(hz), now);
+            }
+        }
+    }
+}
+
+/// The row that a command's parameter names.
+fn row(number: f32, component: u8) -> Option<&'static Row> {
+    let id = number as u32;
+    (id as f32 == number).then(|| messages::row(id, component)).flatten()
+}

@@ -1,0 +1,86 @@
+//! What the messages beside the percept say.
+
+use super::*;
+use crate::world::energy;
+
+/// Asks for a message and gives its fields' packet.
+fn requested(bench: &mut Bench, id: u32) -> Packet {
+    let reply = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_MESSAGE, id as f32, (7, 1)));
+    reply.into_iter().find(|packet| packet.id == id).expect("the message")
+}
+
+fn fly(bench: &mut Bench, ticks: u64, accel: [f32; 2], power: TxPower) {
+    for _ in 0..ticks {
+        bench.command(bench.vehicle.sim.tick().0, accel, power);
+        bench.vehicle.advance(bench.now);
+        bench.received();
+    }
+}
+
+#[test]
+fn attitude_is_that_of_the_acceleration_flown() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let packet = requested(&mut bench, 30);
+    let level = packet.fields();
+    assert_eq!([level.f32(4), level.f32(8), level.f32(12)], [0.0; 3]);
+    fly(&mut bench, 1, [5.0, -1000.0], TxPower::High);
+    let packet = requested(&mut bench, 30);
+    let [roll, pitch] = [packet.fields().f32(4), packet.fields().f32(8)];
+    assert!((pitch.tan() * -9.806_65 - 5.0).abs() < 1e-3, "pitch {pitch}");
+    // 1000 m/s² is flown at the limit: 3.5e-3 units per interval², 500 m a unit, 0.4 s an interval.
+    let east = 9.806_65 * roll.tan() / pitch.cos();
+    assert!((east + 3.5e-3 * 500.0 / 0.16).abs() < 1e-3, "roll {roll}");
+}
+
+#[test]
+fn the_map_shows_the_local_position() {
+    let mut bench = Bench::new();
+    bench.hello();
+    fly(&mut bench, 3, [5.0, 2.0], TxPower::High);
+    let Some(MavMessage::GLOBAL_POSITION_INT(at)) = requested(&mut bench, 33).message() else { panic!() };
+    let Some(MavMessage::HOME_POSITION(home)) = requested(&mut bench, 242).message() else { panic!() };
+    let told = bench.vehicle.sim.telemetry();
+    let metres = |degrees: i32| f64::from(degrees) * 1e-7 * 6_378_137.0 * std::f64::consts::PI / 180.0;
+    let north = metres(at.lat - home.latitude);
+    let east = metres(at.lon - home.longitude) * (f64::from(home.latitude) * 1e-7).to_radians().cos();
+    assert!((north - f64::from(told.position[0])).abs() < 0.02, "{north}");
+    assert!((east - f64::from(told.position[1])).abs() < 0.02, "{east}");
+    assert_eq!((at.alt - home.altitude, at.relative_alt), (100_000, 100_000));
+    assert!((f32::from(at.vx) / 100.0 - told.velocity[0]).abs() < 0.01);
+    let Some(MavMessage::GPS_GLOBAL_ORIGIN(origin)) = requested(&mut bench, 49).message() else { panic!() };
+    assert_eq!((origin.latitude, origin.longitude), (home.latitude, home.longitude));
+}
+
+#[test]
+fn the_battery_pays_for_propulsion_and_radio() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let mut joules = 0.0;
+    for k in 0..100 {
+        let power = if k % 2 == 0 { TxPower::High } else { TxPower::Low };
+        fly(&mut bench, 1, [3.0, 1.0], power);
+        let (sim, scenario) = (&bench.vehicle.sim, bench.vehicle.sim.scenario());
+        let speed = sim.world().uav.v.norm() * scenario.scale.mps_per_speed();
+        joules += 0.4 * (energy::propulsion_power(speed, &scenario.propulsion) + power.level());
+    }
+    let Some(MavMessage::BATTERY_STATUS(battery)) = requested(&mut bench, 147).message() else { panic!() };
+    assert_eq!(battery.energy_consumed, (joules / 100.0_f64).round() as i32);
+    assert_eq!(battery.current_consumed, (joules / 14.8 / 3.6).round() as i32);
+    assert!(battery.fault_bitmask.is_empty());
+    let Some(MavMessage::SYS_STATUS(status)) = requested(&mut bench, 1).message() else { panic!() };
+    assert_eq!(status.battery_remaining, battery.battery_remaining);
+    assert_eq!((status.voltage_battery, status.current_battery), (14_800, battery.current_battery));
+    assert!(status.battery_remaining < 100);
+}
+
+#[test]
+fn packets_that_the_radio_lost_are_in_the_status() {
+    let mut scenario = Scenario::default();
+    scenario.radio.b_dt = 1e-3;
+    let mut bench = Bench::with(scenario, None);
+    bench.hello();
+    fly(&mut bench, 4, [1.0, 0.0], TxPower::Low);
+    let Some(MavMessage::SYS_STATUS(status)) = requested(&mut bench, 1).message() else { panic!() };
+    assert_eq!((status.errors_comm, status.drop_rate_comm), (4, 10_000));
+}
