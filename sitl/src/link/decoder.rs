@@ -376,15 +376,31 @@ mod tests {
 
     proptest! {
         #[test]
-        fn junk_never_panics_and_never_hides_a_good_frame(
+        fn junk_never_panics(
             junk in prop::collection::vec(prop::collection::vec(
                 prop_oneof![Just(0xFDu8), Just(0xFE), Just(0), any::<u8>()], 0..300), 1..6)
         ) {
+            let mut decoder = Decoder::default();
+            for junk in &junk {
+                decoder.datagram(junk);
+            }
+        }
+
+        // Junk that begins like a frame may, by a chance of 1 in 65,536, have its CRC, too, and is a
+        // frame then; so what hides nothing for certain is junk with one beginning, whose length
+        // byte says that it goes on beyond the good frame or ends where nothing fits.
+        #[test]
+        fn junk_never_hides_a_good_frame(
+            junk in prop::collection::vec((
+                prop::collection::vec(0u8..0xFD, 0..300), any::<bool>()), 1..6)
+        ) {
             let mut encoder = Encoder::new(1, 1);
             let mut decoder = Decoder::default();
-            for (k, junk) in junk.iter().enumerate() {
-                decoder.datagram(junk);
+            for (k, (junk, begins)) in junk.iter().enumerate() {
                 let mut bytes = junk.clone();
+                if *begins {
+                    bytes.extend([0xFD, 0xFF, 0, 0]);
+                }
                 bytes.extend(heartbeat(&mut encoder));
                 let found = decoder.datagram(&bytes);
                 prop_assert!(found.iter().any(|p| p.sequence == k as u8 && p.is::<dialect::HEARTBEAT_DATA>()));
