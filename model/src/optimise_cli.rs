@@ -11,7 +11,7 @@ use model::optimise::{
 };
 use model::policy::Policies;
 use model::world_model::WorldModel;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sitl::Scenario;
 
 /// Optimise π_s and π_p in latent space for one scenario.
@@ -41,6 +41,16 @@ pub struct Optimise {
     /// Print the outcome as JSON.
     #[arg(long)]
     json: bool,
+}
+
+/// Progress on disk, with all that decides where it leads.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Saved {
+    seed: u64,
+    world: String,
+    scenario: Scenario,
+    config: OptimiseConfig,
+    progress: Option<Progress>,
 }
 
 /// What stands beside the policies.
@@ -75,11 +85,18 @@ pub fn run(args: &Optimise) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
     let name = scenario.number().map_or("policy".to_owned(), |n| format!("policy_s{n}"));
     let saved = args.out.join(format!("{name}.progress.json"));
-    let begun = if args.resume { read_progress(&saved)? } else { None };
+    let mut run = Saved {
+        seed: args.seed,
+        world: model::checkpoint::fingerprint(&world)?,
+        scenario: scenario.clone(),
+        config: config.clone(),
+        progress: None,
+    };
+    let begun = if args.resume { read_progress(&saved, &mut run)? } else { None };
 
     let started = Instant::now();
     let stage = Stage::of(&world, &scenario, &config, args.seed)?;
-    let mut show = Show::new(&config, saved.clone(), begun.as_ref());
+    let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
     let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
     write(
@@ -113,14 +130,24 @@ pub fn run(args: &Optimise) -> Result<()> {
     Ok(())
 }
 
-fn read_progress(path: &Path) -> Result<Option<Progress>> {
-    match std::fs::read_to_string(path) {
-        Ok(text) => {
-            Ok(Some(serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?))
-        }
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+/// The progress of the same run, `None` if there is none; one of another run is an error.
+fn read_progress(path: &Path, run: &mut Saved) -> Result<Option<Progress>> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => bail!("reading {}: {error}", path.display()),
+    };
+    let mut found: Saved =
+        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
+    let progress = found.progress.take();
+    if found != *run {
+        bail!(
+            "{}: the unfinished run there has another seed, scenario, config or world model; \
+             run without --resume",
+            path.display()
+        );
     }
+    Ok(progress)
 }
 
 fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Result<()> {
@@ -134,18 +161,19 @@ fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Resu
 struct Show {
     bar: ProgressBar,
     saved: PathBuf,
+    run: Saved,
     last: Option<(Estimate, f64)>,
 }
 
 impl Show {
-    fn new(config: &OptimiseConfig, saved: PathBuf, begun: Option<&Progress>) -> Self {
+    fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&Progress>) -> Self {
         let bar = ProgressBar::new(optimise::total_iterations(config) as u64);
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of {duration}  {msg}")
         {
             bar.set_style(style);
         }
         bar.set_position(begun.map_or(0, |p| p.iterations(config)) as u64);
-        Self { bar, saved, last: None }
+        Self { bar, saved, run, last: None }
     }
 }
 
@@ -176,7 +204,8 @@ impl Watch for Show {
             });
         }
         let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", self.saved.display()));
-        let text = serde_json::to_string(progress).map_err(|e| failed(e.to_string()))?;
+        self.run.progress = Some(progress.clone());
+        let text = serde_json::to_string(&self.run).map_err(|e| failed(e.to_string()))?;
         // Written aside and renamed, so that an interruption leaves the old or the new file whole.
         let aside = self.saved.with_extension("tmp");
         std::fs::write(&aside, text).map_err(|e| failed(e.to_string()))?;
