@@ -2,6 +2,7 @@
 
 pub mod apc;
 pub mod crpl;
+pub mod crpl_bw;
 pub mod rcc;
 pub mod reactive;
 pub mod ucc;
@@ -20,10 +21,12 @@ use reactive::Present;
 
 /// The controllers by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Controller {
     /// Predictive control in latent space, from pictures alone
     Crpl,
+    /// CRPL with the power that the bandwidth needs
+    CrplBw,
     /// Analytical predictive control: the oracle, from telemetry and the equations
     Apc,
     /// Reactive constrained control, from present telemetry
@@ -36,6 +39,7 @@ impl std::fmt::Display for Controller {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Crpl => "crpl",
+            Self::CrplBw => "crpl-bw",
             Self::Apc => "apc",
             Self::Rcc => "rcc",
             Self::Ucc => "ucc",
@@ -48,6 +52,8 @@ impl std::fmt::Display for Controller {
 pub enum Pilot {
     /// Sees pictures, through the world model.
     Crpl(Arc<Policies>),
+    /// As CRPL, and knows the radio's constants.
+    CrplBw(Arc<Policies>),
     /// Sees present telemetry and the equations.
     Apc,
     /// Sees present telemetry.
@@ -67,6 +73,7 @@ impl Pilot {
     ) -> (Motion, TxPower) {
         match self {
             Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
+            Self::CrplBw(policies) => crpl_bw::decide(policies, world, belief.latents(), scenario),
             Self::Apc => apc::decide(&Present::of(telemetry, scenario), scenario),
             Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),
             Self::Ucc(ucc) => ucc.decide(&Present::of(telemetry, scenario), scenario),

@@ -42,6 +42,7 @@ impl Brain {
     pub fn pilot(&self, controller: Controller, scenario: &Scenario) -> Result<Pilot> {
         Ok(match controller {
             Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
+            Controller::CrplBw => Pilot::CrplBw(Arc::new(self.policies(scenario)?)),
             Controller::Apc => Pilot::Apc,
             Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
             Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),
