@@ -225,9 +225,14 @@ fn millimetres(metres: f64) -> i32 {
     (metres * 1e3).round() as i32
 }
 
-/// Nothing is measured: positions are the simulator's truth. Packets lost are the radio's.
+/// Nothing is measured: positions are the simulator's truth, told as a fix of perfect sensors, for
+/// which MAVSDK's programs wait. No fence is breached, as there is none. Packets lost are the radio's.
 fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
     let sensors = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_EXTERNAL_GROUND_TRUTH
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG
+        | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS
         | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
         | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL
         | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
@@ -238,7 +243,7 @@ fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
     dialect::SYS_STATUS_DATA {
         onboard_control_sensors_present: sensors,
         onboard_control_sensors_enabled: sensors,
-        onboard_control_sensors_health: sensors,
+        onboard_control_sensors_health: sensors | MavSysStatusSensor::MAV_SYS_STATUS_GEOFENCE,
         load: 0,
         voltage_battery: state.battery.millivolts(),
         current_battery: state.battery.centiamperes(),

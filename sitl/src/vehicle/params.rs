@@ -49,7 +49,8 @@ enum Holds {
 }
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
-const BYTE: MavParamType = MavParamType::MAV_PARAM_TYPE_UINT8;
+/// MAVSDK knows no narrower integer.
+const INT: MavParamType = MavParamType::MAV_PARAM_TYPE_INT32;
 
 const fn rate(name: &'static str, id: u32) -> Param {
     Param { name, kind: REAL, holds: Holds::Rate(id) }
@@ -60,7 +61,7 @@ const fn of(name: &'static str, kind: MavParamType, value: fn(&Scenario) -> f64)
 }
 
 static OF_AUTOPILOT: &[Param] = &[
-    Param { name: "SYSID_THISMAV", kind: BYTE, holds: Holds::System },
+    Param { name: "SYSID_THISMAV", kind: INT, holds: Holds::System },
     rate("RATE_ATTITUDE", dialect::ATTITUDE_DATA::ID),
     rate("RATE_GLOBAL", dialect::GLOBAL_POSITION_INT_DATA::ID),
     rate("RATE_STATUS", dialect::SYS_STATUS_DATA::ID),
@@ -68,7 +69,7 @@ static OF_AUTOPILOT: &[Param] = &[
     rate("RATE_EXTENDED", dialect::EXTENDED_SYS_STATE_DATA::ID),
     rate("RATE_BATTERY", dialect::BATTERY_STATUS_DATA::ID),
     rate("RATE_HOME", dialect::HOME_POSITION_DATA::ID),
-    of("RADIO_RULE", BYTE, |s| match s.radio.rule {
+    of("RADIO_RULE", INT, |s| match s.radio.rule {
         Rule::Ideal => 0.0,
         Rule::Drop => 1.0,
         Rule::Queue => 2.0,
@@ -82,7 +83,7 @@ static OF_AUTOPILOT: &[Param] = &[
     of("CHAN_SNR_MIN", REAL, |s| s.channel.snr_min),
     of("DYN_V_MAX", REAL, |s| s.dynamics.v_max * s.scale.mps_per_speed()),
     of("DYN_A_MAX", REAL, |s| s.dynamics.a_max * s.scale.mps_per_speed() / s.scale.interval_s),
-    of("DYN_WALLS", BYTE, |s| f64::from(u8::from(s.dynamics.walls))),
+    of("DYN_WALLS", INT, |s| f64::from(u8::from(s.dynamics.walls))),
     of("WIND_KICK", REAL, |s| s.disturbance.kick() * s.scale.mps_per_speed()),
     of("UAV_RADIUS", REAL, |s| s.uav_radius * s.scale.metres_per_unit),
     of("OBST_RADIUS", REAL, |s| s.obstacle.radius * s.scale.metres_per_unit),
