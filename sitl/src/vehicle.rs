@@ -8,6 +8,7 @@
 //! |---|---|
 //! | `commands` | what is answered: setpoints, commands, image requests |
 //! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
+//! | `files` | that there are none |
 //! | `messages` | every message that can be asked for, one row each |
 //! | `missions` | that there are none |
 //! | `modes` | mode, arming, takeoff, landing |
@@ -22,6 +23,7 @@
 
 mod battery;
 mod commands;
+mod files;
 mod geodesy;
 mod messages;
 mod missions;

@@ -3,7 +3,7 @@
 //! `cargo test` builds no program of another package by itself, so the first test that needs one asks
 //! cargo for all of them. A [`Program`] never outlives the test that started it.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -95,6 +95,8 @@ impl Finished {
 pub struct Program {
     name: String,
     child: Child,
+    /// Lines of stdout that a conversation has passed.
+    heard: usize,
     stdout: Arc<Heard>,
     stderr: Arc<Heard>,
 }
@@ -108,16 +110,25 @@ impl Program {
     }
 
     /// Starts any command with its output caught.
-    pub fn spawn(name: &str, mut command: Command) -> Result<Self> {
+    pub fn spawn(name: &str, command: Command) -> Result<Self> {
+        Self::launch(name, command, Stdio::null())
+    }
+
+    /// Starts a command that reads what it is told ([`Program::tell`]).
+    pub fn converse(name: &str, command: Command) -> Result<Self> {
+        Self::launch(name, command, Stdio::piped())
+    }
+
+    fn launch(name: &str, mut command: Command, stdin: Stdio) -> Result<Self> {
         let mut child = command
-            .stdin(Stdio::null())
+            .stdin(stdin)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .with_context(|| format!("starting {name}"))?;
         let stdout = Heard::listen(child.stdout.take().context("stdout is piped")?);
         let stderr = Heard::listen(child.stderr.take().context("stderr is piped")?);
-        Ok(Self { name: name.into(), child, stdout, stderr })
+        Ok(Self { name: name.into(), child, heard: 0, stdout, stderr })
     }
 
     /// The first printed line that starts with `prefix`, without it.
@@ -125,10 +136,46 @@ impl Program {
         let found = self.stdout.wait(|lines| {
             lines.iter().find_map(|line| line.strip_prefix(prefix)).map(|rest| rest.trim().to_owned())
         });
-        found.with_context(|| {
-            let (stdout, stderr) = (self.stdout.text(), self.stderr.text());
-            format!("{} printed no line `{prefix}...`\nstdout:\n{stdout}\nstderr:\n{stderr}", self.name)
-        })
+        found.with_context(|| self.complaint(&format!("printed no line `{prefix}...`")))
+    }
+
+    /// Writes a line to the program's stdin.
+    pub fn tell(&mut self, line: &str) -> Result<()> {
+        let stdin = self.child.stdin.as_mut().with_context(|| format!("{} does not listen", self.name))?;
+        writeln!(stdin, "{line}").with_context(|| format!("telling {} `{line}`", self.name))
+    }
+
+    /// Waits until something printed since the last [`Program::hears`] contains `text`.
+    pub fn hears(&mut self, text: &str) -> Result<String> {
+        let from = self.heard;
+        let found = self.stdout.wait(|lines| {
+            let at = lines.iter().skip(from).position(|line| line.contains(text))?;
+            Some((from + at, lines[from + at].clone()))
+        });
+        let (at, line) =
+            found.with_context(|| self.complaint(&format!("did not go on to print `{text}`")))?;
+        self.heard = at + 1;
+        Ok(line)
+    }
+
+    fn complaint(&self, what: &str) -> String {
+        let (stdout, stderr) = (self.stdout.text(), self.stderr.text());
+        format!("{} {what}\nstdout:\n{stdout}\nstderr:\n{stderr}", self.name)
+    }
+
+    /// Closes the program's stdin, which ends one that converses.
+    pub fn hang_up(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Asks the program to end, as Ctrl-C does.
+    pub fn interrupt(&self) -> Result<()> {
+        let kill = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
+        let status = kill.context("starting kill")?;
+        if !status.success() {
+            bail!("interrupting {}: kill ended with {status}", self.name);
+        }
+        Ok(())
     }
 
     /// Waits for the program's own end.

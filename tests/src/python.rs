@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::program::{Finished, Program, profile_folder};
 
-/// The packages, each with its version.
+/// The packages, each with its version and the hashes of its wheels.
 const REQUIREMENTS: &str = include_str!("../python/requirements.txt");
 
 /// The folder of the environment's programs. Made at the first call and kept beside the build; other
@@ -28,7 +28,9 @@ pub fn environment() -> Result<PathBuf> {
         checked(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&venv))?;
         checked(
             Command::new(venv.join("bin/python"))
-                .args(["-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check", "-r"])
+                .args(["-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check"])
+                // What is imported is compiled then; MAVLink's dialects are 90 MB, of which one is used.
+                .args(["--no-deps", "--no-compile", "-r"])
                 .arg(&requirements),
         )?;
         fs::write(&made, REQUIREMENTS).context("noting what the environment is made of")?;
@@ -53,10 +55,29 @@ pub fn script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finis
     Program::spawn(name, command)?.wait()
 }
 
-/// What pymavlink's own `mavlogdump.py` prints of a tlog.
-pub fn mavlogdump(tlog: &Path) -> Result<String> {
+/// A program that came with a package, such as `mavproxy.py`, to be given its arguments.
+pub fn tool(name: &str) -> Result<Command> {
     let bin = environment()?;
     let mut command = Command::new(bin.join("python"));
-    command.arg(bin.join("mavlogdump.py")).arg(tlog);
-    Program::spawn("mavlogdump.py", command)?.wait()?.good()
+    command.arg("-u").arg(bin.join(name));
+    Ok(command)
+}
+
+/// What pymavlink's own `mavlogdump.py` prints of a tlog, and what it complains of.
+pub fn mavlogdump(tlog: &Path) -> Result<String> {
+    read_log("mavlogdump.py", tlog)
+}
+
+/// What pymavlink's own `mavloss.py` prints of a tlog: the gaps in each sender's sequence. (It counts
+/// right; `mavlogdump.py --show-loss` takes its own second reading of the file for a gap.)
+pub fn mavloss(tlog: &Path) -> Result<String> {
+    read_log("mavloss.py", tlog)
+}
+
+fn read_log(name: &str, tlog: &Path) -> Result<String> {
+    let mut command = tool(name)?;
+    command.arg(tlog);
+    let finished = Program::spawn(name, command)?.wait()?;
+    let complaints = finished.stderr.clone();
+    Ok(finished.good()? + &complaints)
 }

@@ -126,6 +126,8 @@ async fn over_udp_it_is_the_flight_in_process() {
     }
     let dump = python::mavlogdump(&tlog).unwrap();
     assert!(dump.contains("SET_POSITION_TARGET_LOCAL_NED") && !dump.contains("BAD_DATA"), "{dump}");
+    let loss = python::mavloss(&tlog).unwrap();
+    assert!(loss.contains(" packets, 0 lost 0.0%"), "{loss}");
 }
 
 #[tokio::test]

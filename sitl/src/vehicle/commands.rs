@@ -36,7 +36,7 @@ impl Vehicle {
             self.ask(&ask, asker, from, now);
         } else if let Some(handshake) = Handshake::of(packet) {
             self.image_wish(handshake.wish(), from, now);
-        } else {
+        } else if !self.files(packet, asker, from) {
             let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
             match packet.id {
                 dialect::PARAM_SET_DATA::ID => {

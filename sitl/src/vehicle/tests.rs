@@ -1,5 +1,6 @@
 //! The vehicle as its peers meet it; what they can ask for is in the modules below.
 
+mod files;
 mod missions;
 mod modes;
 mod params;
