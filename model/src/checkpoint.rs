@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
+use crate::heads_at::{COLLISION_WIDTHS, GAIN_WIDTHS, Heads};
 use crate::infer::Encoder;
 use crate::mlp::Mlp;
 use crate::predictor::Linear;
 use crate::probe::{Affine, Probe};
 use crate::weights::{CONVS, FEATURES, Input, LATENT, Layer, POOLED, Weights};
-use crate::world_model::{Card, Heads, WorldModel};
+use crate::world_model::{Card, WorldModel};
 
 /// Name of the tensors' file.
 pub const TENSORS: &str = "model.safetensors";
@@ -23,9 +24,6 @@ pub const CONFIG: &str = "config.json";
 pub const CARD: &str = "card.md";
 /// What `format` must say.
 pub const FORMAT: &str = "crpl-world-model/1";
-
-/// Widths of the risk and channel heads.
-pub const HEAD_WIDTHS: [usize; 4] = [4, 64, 64, 1];
 
 /// Why a checkpoint could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -406,17 +404,19 @@ pub fn put_heads(out: &mut Writer, heads: &Heads) {
     out.f32("heads.gain_mean", &[1], [heads.gain_mean]);
     out.f32("heads.gain_std", &[1], [heads.gain_std]);
     out.f32("heads.scale", &[2], [heads.scale_c, heads.scale_u]);
+    out.f32("heads.floor", &[1], [heads.floor]);
 }
 
 /// Reads what [`put_heads`] wrote.
 pub fn get_heads(from: &Reader<'_>) -> Result<Heads, CheckpointError> {
     let scale = from.f32("heads.scale", &[2])?;
     Ok(Heads {
-        collision: from.mlp("heads.collision", &HEAD_WIDTHS)?,
-        gain: from.mlp("heads.gain", &HEAD_WIDTHS)?,
+        collision: from.mlp("heads.collision", &COLLISION_WIDTHS)?,
+        gain: from.mlp("heads.gain", &GAIN_WIDTHS)?,
         gain_mean: from.f32("heads.gain_mean", &[1])?[0],
         gain_std: from.f32("heads.gain_std", &[1])?[0],
         scale_c: scale[0],
         scale_u: scale[1],
+        floor: from.f32("heads.floor", &[1])?[0],
     })
 }

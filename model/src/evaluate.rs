@@ -12,7 +12,7 @@ use sitl::world::noise::{Noise, Stream};
 
 use crate::closed_form::Check;
 use crate::dataset::{self, EDGE_BAND, Episode, Start};
-use crate::heads::{self, HeadsConfig, Scene, auc, calibration_error};
+use crate::heads::{self, HeadsConfig, Scene, Station, auc, calibration_error};
 use crate::probe::{quantile, r_squared};
 use crate::weights::vector;
 use crate::world_model::WorldModel;
@@ -43,10 +43,14 @@ pub struct Metrics {
     pub probe: ProbeMetrics,
     /// Latent rollouts.
     pub rollout: RolloutMetrics,
-    /// Heads on pictures.
+    /// Heads on pictures, the base station where the scenario has it.
     pub heads: HeadMetrics,
-    /// Heads at the end of latent rollouts.
+    /// Heads at the end of latent rollouts, the same station.
     pub heads_after_rollout: HeadMetrics,
+    /// Heads on pictures, each with a base station anywhere in the frame's square.
+    pub heads_anywhere: HeadMetrics,
+    /// Heads at the end of latent rollouts, stations as above.
+    pub heads_anywhere_after_rollout: HeadMetrics,
     /// What the closed form says of itself without labels.
     pub label_free: Check,
 }
@@ -115,17 +119,26 @@ pub fn measure(
 ) -> Metrics {
     let episodes =
         dataset::collect(config.rollouts, config.horizon, Start::Rest, scenario, noise, EVALUATION_EPISODES);
-    let mut rng = noise.generator(Stream::Evaluation, 1);
-    let scenes = heads::sample(config.frames, scenario, &mut rng);
-    let seen = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
-    let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
     let (rollout, ends) = rollouts(model, &episodes, scenario, noise);
-    let last: Vec<Scene> = episodes.iter().map(last_scene).collect();
+    let [given, anywhere] = [Station::Given, Station::Anywhere].map(|station| {
+        let mut rng = noise.generator(Stream::Evaluation, 1);
+        let scenes = heads::sample(config.frames, station, scenario, &mut rng);
+        let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
+        let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
+        let last: Vec<_> =
+            episodes.iter().map(|e| (last_scene(e), station.draw(scenario, &mut rng))).collect();
+        [
+            judge(model, &scenes, &seen, scenario, heads_config),
+            judge(model, &last, &ends, scenario, heads_config),
+        ]
+    });
     Metrics {
         probe: decode(model, config.frames, scenario, noise),
         rollout,
-        heads: judge(model, &scenes, &seen, scenario, heads_config),
-        heads_after_rollout: judge(model, &last, &ends, scenario, heads_config),
+        heads: given[0],
+        heads_after_rollout: given[1],
+        heads_anywhere: anywhere[0],
+        heads_anywhere_after_rollout: anywhere[1],
         label_free,
     }
 }
@@ -217,28 +230,26 @@ fn last_scene(episode: &Episode) -> Scene {
     Scene { uav: episode.uav[episode.uav.len() - 1], obstacle: episode.obstacle[1] }
 }
 
-/// Heads at these plane coordinates against the truth of the scenes.
+/// Heads at these plane coordinates against the truth of the scenes with their base stations.
 fn judge(
     model: &WorldModel,
-    scenes: &[Scene],
+    scenes: &[(Scene, Vector2<f64>)],
     seen: &[Ends],
     scenario: &Scenario,
     config: &HeadsConfig,
 ) -> HeadMetrics {
     let narrow = |y: &Vector2<f64>| [y.x as f32, y.y as f32];
-    let labels: Vec<_> = scenes.iter().map(|s| s.label(scenario, config.distance_floor)).collect();
+    let floor = config.distance_floor;
+    let labels: Vec<_> = scenes.iter().map(|(s, station)| s.label(*station, scenario, floor)).collect();
     let truth: Vec<f64> = labels.iter().map(|l| l.collision).collect();
     let hit: Vec<bool> = truth.iter().map(|p| *p > 0.5).collect();
-    let predicted: Vec<f64> =
-        seen.iter().map(|(c, u)| f64::from(model.heads.collision(narrow(c), narrow(u)))).collect();
     let decibel = 10.0 / std::f64::consts::LN_10;
-    let gain: Vec<f64> = seen
-        .iter()
-        .zip(&labels)
-        .map(|((c, u), l)| {
-            decibel * (f64::from(model.heads.log_gain(narrow(c), narrow(u))) - l.log_gain).abs()
-        })
-        .collect();
+    let (mut predicted, mut gain) = (Vec::new(), Vec::new());
+    for (((_, station), (c, u)), label) in scenes.iter().zip(seen).zip(&labels) {
+        let (heads, c, u) = (model.heads_at(*station), narrow(c), narrow(u));
+        predicted.push(f64::from(heads.collision(c, u)));
+        gain.push(decibel * (f64::from(heads.log_gain(c, u)) - label.log_gain).abs());
+    }
     let n = scenes.len().max(1) as f64;
     HeadMetrics {
         collision_auc: auc(&predicted, &hit),
@@ -254,6 +265,8 @@ impl Metrics {
     #[must_use]
     pub fn table(&self) -> String {
         let (p, r, h, e) = (&self.probe, &self.rollout, &self.heads, &self.heads_after_rollout);
+        let (any, any_end) = (&self.heads_anywhere, &self.heads_anywhere_after_rollout);
+        let decibels = |h: &HeadMetrics| format!("{:.3} / {:.3} dB", h.gain_rms_db, h.gain_p90_db);
         let check = &self.label_free;
         let rows = [
             ("z_c -> UAV, whole disc, p90", format!("{:.3} px", p.c_middle_p90_px)),
@@ -270,12 +283,15 @@ impl Metrics {
             ("  shuffled actions, p90", format!("{:.1} px", r.shuffled_p90_px)),
             ("collision AUC / ECE / MAE, pictures", three(h)),
             ("collision AUC / ECE / MAE, after rollout", three(e)),
-            ("gain rms / p90, pictures", format!("{:.3} / {:.3} dB", h.gain_rms_db, h.gain_p90_db)),
-            ("gain rms / p90, after rollout", format!("{:.3} / {:.3} dB", e.gain_rms_db, e.gain_p90_db)),
+            ("gain rms / p90, pictures", decibels(h)),
+            ("gain rms / p90, after rollout", decibels(e)),
+            ("  base station anywhere, ECE, pictures", format!("{:.4}", any.collision_ece)),
+            ("  base station anywhere, gain, pictures", decibels(any)),
+            ("  base station anywhere, gain, after rollout", decibels(any_end)),
             ("label-free: residual of z_c", format!("{:.3} px", check.residual_c_px)),
             ("label-free: eigenvalues of z_u", check.eigenvalues.map(|v| format!("{v:.1e}")).join(" ")),
         ];
-        rows.iter().map(|(name, value)| format!("{name:<42} {value}\n")).collect()
+        rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")).collect()
     }
 }
 

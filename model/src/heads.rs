@@ -1,5 +1,5 @@
-//! The risk and channel heads: collision probability and ln |h|² from the latents, what they
-//! learn from and how they are judged.
+//! What the risk and channel heads learn from and how they are judged: collision probability and
+//! ln |h|² of a scene and a base station.
 //!
 //! The encoder is frozen: labels never reach it. Pictures are drawn where it matters: a third near a
 //! collision, a third near a blocked line of sight, a third anywhere.
@@ -59,12 +59,13 @@ impl Scene {
         sitl::camera::render(self.uav, self.obstacle, scenario)
     }
 
-    /// Its ground truth.
+    /// Its ground truth for a base station at `station`.
     #[must_use]
-    pub fn label(&self, scenario: &Scenario, distance_floor: f64) -> Label {
+    pub fn label(&self, station: Vector2<f64>, scenario: &Scenario, distance_floor: f64) -> Label {
         let radius = scenario.obstacle.radius;
         let clearance = safety::clearance(self.uav, self.obstacle, scenario.uav_radius, radius);
         let mut link = scenario.channel.clone();
+        link.base_station = station;
         link.distance_floor = link.distance_floor.max(distance_floor);
         Label {
             collision: safety::collision_probability(
@@ -86,14 +87,41 @@ pub fn uniform_scene(scenario: &Scenario, rng: &mut impl Rng) -> Scene {
     Scene { uav, obstacle: Vector2::new(place(margin), place(margin)) }
 }
 
-/// `count` scenes: a third near a collision, a third near a blocked sight line, a third anywhere.
+/// Where the base stands in a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Station {
+    /// Where the scenario has it.
+    Given,
+    /// Anywhere in the frame's square, uniformly: what the heads are trained on.
+    Anywhere,
+}
+
+impl Station {
+    /// s_BS, paper units.
+    #[must_use]
+    pub fn draw(self, scenario: &Scenario, rng: &mut impl Rng) -> Vector2<f64> {
+        match self {
+            Self::Given => scenario.channel.base_station,
+            Self::Anywhere => Vector2::new(rng.random(), rng.random()),
+        }
+    }
+}
+
+/// `count` scenes, each with its base station's place: a third near a collision, a third near a
+/// blocked sight line, a third anywhere.
 #[must_use]
-pub fn sample(count: usize, scenario: &Scenario, rng: &mut impl Rng) -> Vec<Scene> {
+pub fn sample(
+    count: usize,
+    station: Station,
+    scenario: &Scenario,
+    rng: &mut impl Rng,
+) -> Vec<(Scene, Vector2<f64>)> {
     let margin = scenario.obstacle.margin;
     let inside = |r: Vector2<f64>| r.map(|x| x.clamp(margin, 1.0 - margin));
     (0..count)
         .map(|n| {
             let scene = uniform_scene(scenario, rng);
+            let station = station.draw(scenario, rng);
             let obstacle = match n % 3 {
                 0 => {
                     let angle = std::f64::consts::TAU * rng.random::<f64>();
@@ -101,14 +129,13 @@ pub fn sample(count: usize, scenario: &Scenario, rng: &mut impl Rng) -> Vec<Scen
                     scene.uav + distance * Vector2::new(angle.cos(), angle.sin())
                 }
                 1 => {
-                    let station = scenario.channel.base_station;
                     let along = scene.uav + (station - scene.uav) * rng.random::<f64>();
                     let mut aside = || -> f64 { StandardNormal.sample(rng) };
                     along + 0.08 * Vector2::new(aside(), aside())
                 }
                 _ => scene.obstacle,
             };
-            Scene { obstacle: inside(obstacle), ..scene }
+            (Scene { obstacle: inside(obstacle), ..scene }, station)
         })
         .collect()
 }
@@ -149,10 +176,13 @@ mod tests {
     fn labels_are_the_worlds() {
         let scenario = Scenario::default();
         let scene = Scene { uav: Vector2::new(0.5, 0.52), obstacle: Vector2::new(0.5, 0.40) };
-        let label = scene.label(&scenario, 0.02);
+        let station = scenario.channel.base_station;
+        let label = scene.label(station, &scenario, 0.02);
         assert!((label.collision - 0.5).abs() < 1e-9, "contact is one half, not {}", label.collision);
         let above = Scene { uav: Vector2::new(0.5, 0.05), obstacle: Vector2::new(0.2, 0.8) };
-        assert!((above.label(&scenario, 0.02).log_gain - 2500f64.ln()).abs() < 1e-6);
+        assert!((above.label(station, &scenario, 0.02).log_gain - 2500f64.ln()).abs() < 1e-6);
+        let far = Vector2::new(0.5, 0.55);
+        assert!((above.label(far, &scenario, 0.02).log_gain - 4f64.ln()).abs() < 1e-6);
     }
 
     #[test]

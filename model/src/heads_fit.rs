@@ -5,44 +5,61 @@ use burn::nn::{Initializer, Linear, LinearConfig};
 use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::activation::{log_sigmoid, tanh};
 use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use sitl::world::noise::{Noise, Stream};
 
-use crate::checkpoint::HEAD_WIDTHS;
 use crate::heads::{HeadsConfig, Label};
+use crate::heads_at::{COLLISION_WIDTHS, GAIN_WIDTHS, Heads, SightLine};
 use crate::jepa::values;
 use crate::mlp::{Dense, Mlp};
-use crate::world_model::Heads;
+use crate::probe::Probe;
 
-/// Trains both heads. `y_c`, `y_u` are the plane coordinates of the labelled pictures; `tick` hears of
-/// every step.
+/// What the heads learn from, one entry a labelled picture.
+#[derive(Debug, Clone, Default)]
+pub struct Samples {
+    /// Plane coordinates of the UAV's half.
+    pub y_c: Vec<[f32; 2]>,
+    /// Plane coordinates of the obstacle's half.
+    pub y_u: Vec<[f32; 2]>,
+    /// s_BS, paper units.
+    pub station: Vec<Vector2<f64>>,
+    /// Ground truth.
+    pub label: Vec<Label>,
+}
+
+/// Trains both heads. `probe` tells where latents lie; `tick` hears of every step.
 pub fn train(
-    y_c: &[[f32; 2]],
-    y_u: &[[f32; 2]],
-    labels: &[Label],
+    samples: &Samples,
+    probe: &Probe,
     config: &HeadsConfig,
     device: &Device,
     noise: &Noise,
     tick: impl Fn() + Sync,
 ) -> Heads {
+    let Samples { y_c, y_u, station, label: labels } = samples;
     let n = labels.len().max(1) as f64;
     let mean = labels.iter().map(|l| l.log_gain).sum::<f64>() / n;
     let variance = labels.iter().map(|l| (l.log_gain - mean).powi(2)).sum::<f64>() / n;
     let mut heads = Heads {
-        collision: Mlp::zeros(&HEAD_WIDTHS),
-        gain: Mlp::zeros(&HEAD_WIDTHS),
+        collision: Mlp::zeros(&COLLISION_WIDTHS),
+        gain: Mlp::zeros(&GAIN_WIDTHS),
         gain_mean: mean as f32,
         gain_std: variance.sqrt().max(1e-6) as f32,
         scale_c: 1.0 / deviation(y_c),
         scale_u: 1.0 / deviation(y_u),
+        floor: config.distance_floor as f32,
     };
-    let x: Vec<[f32; 4]> = y_c.iter().zip(y_u).map(|(c, u)| heads.input(*c, *u)).collect();
+    let each = || y_c.iter().zip(y_u).zip(station).map(|((c, u), s)| (*c, *u, *s));
+    let x: Vec<_> = each().map(|(c, u, s)| heads.input(c, u, s)).collect();
+    let sight: Vec<_> =
+        each().map(|(c, u, s)| SightLine::new(s, probe, heads.floor).coordinates(c, u)).collect();
     let risk: Vec<f32> = labels.iter().map(|l| l.collision as f32).collect();
     let (mean, std) = (heads.gain_mean, heads.gain_std);
     let gain: Vec<f32> = labels.iter().map(|l| (l.log_gain as f32 - mean) / std).collect();
     (heads.collision, heads.gain) = rayon::join(
         || fit(&x, &risk, Loss::CrossEntropy, config, device, noise, &tick),
-        || fit(&x, &gain, Loss::Square, config, device, noise, &tick),
+        || fit(&sight, &gain, Loss::Square, config, device, noise, &tick),
     );
     heads
 }
@@ -62,15 +79,15 @@ struct Network {
 }
 
 impl Network {
-    /// x [batch, 4] -> [batch, 1].
+    /// x [batch, inputs] -> [batch, 1].
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         self.last.forward(tanh(self.second.forward(tanh(self.first.forward(x)))))
     }
 }
 
 /// One head: Adam on random batches, learning rate falling as a cosine.
-fn fit(
-    x: &[[f32; 4]],
+fn fit<const INPUTS: usize>(
+    x: &[[f32; INPUTS]],
     y: &[f32],
     loss: Loss,
     config: &HeadsConfig,
@@ -78,19 +95,19 @@ fn fit(
     noise: &Noise,
     tick: &(impl Fn() + Sync),
 ) -> Mlp {
-    let device = device.clone().autodiff();
+    let (device, hidden) = (device.clone().autodiff(), COLLISION_WIDTHS[1]);
     let mut rng = noise.generator(Stream::Batches, 100 + loss as u64);
     let mut network = Network {
-        first: linear(HEAD_WIDTHS[0], HEAD_WIDTHS[1], &device, &mut rng),
-        second: linear(HEAD_WIDTHS[1], HEAD_WIDTHS[2], &device, &mut rng),
-        last: linear(HEAD_WIDTHS[2], HEAD_WIDTHS[3], &device, &mut rng),
+        first: linear(INPUTS, hidden, &device, &mut rng),
+        second: linear(hidden, hidden, &device, &mut rng),
+        last: linear(hidden, 1, &device, &mut rng),
     };
     let mut optimiser = AdamConfig::new().with_epsilon(1e-8).init();
     for step in 0..config.steps {
         let picks: Vec<usize> = (0..config.batch).map(|_| rng.random_range(0..x.len())).collect();
         let inputs: Vec<f32> = picks.iter().flat_map(|&n| x[n]).collect();
         let targets: Vec<f32> = picks.iter().map(|&n| y[n]).collect();
-        let inputs = Tensor::<2>::from_data(TensorData::new(inputs, [picks.len(), 4]), &device);
+        let inputs = Tensor::<2>::from_data(TensorData::new(inputs, [picks.len(), INPUTS]), &device);
         let targets = Tensor::<2>::from_data(TensorData::new(targets, [picks.len(), 1]), &device);
         let out = network.forward(inputs);
         let loss = match loss {
@@ -142,29 +159,40 @@ fn deviation(y: &[[f32; 2]]) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector2;
     use sitl::Scenario;
 
     use super::*;
-    use crate::heads::{auc, sample};
+    use crate::heads::{Station, auc, sample};
+    use crate::probe::Affine;
 
     #[test]
     fn a_head_learns_and_equal_seeds_learn_alike() {
         let (scenario, noise) = (Scenario::default(), Noise::new(9));
         let mut rng = noise.generator(Stream::Data, 0);
-        let scenes = sample(600, &scenario, &mut rng);
+        let scenes = sample(600, Station::Anywhere, &scenario, &mut rng);
         let as_latent = |r: Vector2<f64>| [(r.x * 10.0 - 5.0) as f32, (r.y * 10.0 - 5.0) as f32];
-        let y_c: Vec<_> = scenes.iter().map(|s| as_latent(s.uav)).collect();
-        let y_u: Vec<_> = scenes.iter().map(|s| as_latent(s.obstacle)).collect();
-        let labels: Vec<_> = scenes.iter().map(|s| s.label(&scenario, 0.02)).collect();
+        let samples = Samples {
+            y_c: scenes.iter().map(|(s, _)| as_latent(s.uav)).collect(),
+            y_u: scenes.iter().map(|(s, _)| as_latent(s.obstacle)).collect(),
+            station: scenes.iter().map(|(_, station)| *station).collect(),
+            label: scenes.iter().map(|(s, station)| s.label(*station, &scenario, 0.02)).collect(),
+        };
+        let map = Affine { matrix: nalgebra::Matrix2::identity() * 0.1, offset: Vector2::repeat(0.5) };
+        let probe = Probe { c: map, u: map };
         let config = HeadsConfig { steps: 300, batch: 64, ..HeadsConfig::default() };
         let device = crate::jepa::Backend::Flex.device().unwrap();
-        let learn = || train(&y_c, &y_u, &labels, &config, &device, &noise, || ());
+        let learn = || train(&samples, &probe, &config, &device, &noise, || ());
         let heads = learn();
-        let predicted: Vec<f64> =
-            y_c.iter().zip(&y_u).map(|(c, u)| f64::from(heads.collision(*c, *u))).collect();
-        let hit: Vec<bool> = labels.iter().map(|l| l.collision > 0.5).collect();
+        let (mut predicted, mut square) = (Vec::new(), 0.0);
+        for (n, label) in samples.label.iter().enumerate() {
+            let at = heads.at(samples.station[n], &probe);
+            predicted.push(f64::from(at.collision(samples.y_c[n], samples.y_u[n])));
+            square += (f64::from(at.log_gain(samples.y_c[n], samples.y_u[n])) - label.log_gain).powi(2);
+        }
+        let hit: Vec<bool> = samples.label.iter().map(|l| l.collision > 0.5).collect();
         assert!(auc(&predicted, &hit) > 0.9);
+        let rms = (square / 600.0).sqrt();
+        assert!(rms < 0.5 * f64::from(heads.gain_std), "off by {rms} of {}", heads.gain_std);
         assert_eq!(heads, learn());
     }
 }

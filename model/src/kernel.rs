@@ -64,6 +64,22 @@ pub fn exp(x: f32) -> f32 {
     e * f32::from_bits(((n as i32 + 127) as u32) << 23)
 }
 
+/// ln x of a positive normal x, within 1e-7 of |ln x| or 1e-7; no platform libm.
+#[inline(always)]
+#[must_use]
+pub fn ln(x: f32) -> f32 {
+    // x = 2^n m with m in [√½, √2): ln m = 2 artanh((m - 1)/(m + 1)).
+    const SQRT_HALF: u32 = 0x3f35_04f3;
+    let n = (x.to_bits().wrapping_sub(SQRT_HALF) as i32) >> 23;
+    let m = f32::from_bits(x.to_bits().wrapping_sub((n << 23) as u32));
+    let s = (m - 1.0) / (m + 1.0);
+    let s2 = s * s;
+    let p = s2.mul_add(2.0 / 9.0, 2.0 / 7.0);
+    let p = s2.mul_add(p, 2.0 / 5.0);
+    let p = s2.mul_add(p, 2.0 / 3.0);
+    (s * s2).mul_add(p, 2.0 * s) + n as f32 * std::f32::consts::LN_2
+}
+
 /// 1 / (1 + e^-x).
 #[inline(always)]
 #[must_use]
@@ -218,6 +234,17 @@ mod tests {
             let error = (f64::from(exp(x)) / f64::from(x).exp() - 1.0).abs();
             assert!(error < 2e-7, "exp({x}) is off by {error}");
         }
+    }
+
+    #[test]
+    fn ln_is_ln() {
+        for k in -6000..=6000 {
+            let x = (k as f32 * 0.01).exp();
+            let truth = f64::from(x).ln();
+            let error = (f64::from(ln(x)) - truth).abs();
+            assert!(error < 2e-7 * (1.0 + truth.abs()), "ln({x}) is off by {error}");
+        }
+        assert_eq!(ln(1.0), 0.0);
     }
 
     #[test]

@@ -17,6 +17,7 @@
 //! | [`closed_form`] | the latent heads by least squares | labels |
 //! | [`predictor`] | linear second-order steps of both halves | pictures, positions |
 //! | [`heads`] | collision probability and channel gain: labels, measures | networks |
+//! | [`heads_at`] | the heads' networks, and what they are for one base station | labels |
 //! | `heads_fit` | their training in burn | pictures |
 //! | [`probe`] | latents to positions, to measure and to draw | training |
 //! | [`dataset`] | episodes from the simulator's world | networks |
@@ -40,6 +41,7 @@ pub mod crpl;
 pub mod dataset;
 pub mod evaluate;
 pub mod heads;
+pub mod heads_at;
 #[cfg(feature = "train")]
 pub mod heads_fit;
 pub mod infer;

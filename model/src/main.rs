@@ -112,7 +112,7 @@ fn run(args: &Train) -> anyhow::Result<()> {
         println!("{out:#}");
     } else {
         print!("{}", model.card.metrics.table());
-        println!("{:<42} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
+        println!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
         println!("checkpoint in {}", args.out.display());
     }
     Ok(())

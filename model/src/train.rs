@@ -16,14 +16,15 @@ use crate::checkpoint::{self, CARD, CheckpointError, FORMAT, Reader, Writer};
 use crate::closed_form::{self, Check, FitError, Triples};
 use crate::config::{ConfigError, DataConfig, TrainConfig};
 use crate::dataset::{self, EDGE_BAND, Episode, Start, Triple};
-use crate::heads::{self, Scene};
-use crate::heads_fit;
+use crate::heads::{self, Scene, Station};
+use crate::heads_at::Heads;
+use crate::heads_fit::{self, Samples};
 use crate::infer::{Encoder, Features};
 use crate::jepa::{self, Backend, NoBackend};
 use crate::predictor::{self, Half, Linear};
 use crate::probe::{self, Probe};
 use crate::weights::{self, FEATURES, Input, LATENT, Weights};
-use crate::world_model::{Card, Heads, WorldModel};
+use crate::world_model::{Card, WorldModel};
 use crate::{evaluate, weights::vector};
 
 /// Why training stopped.
@@ -157,7 +158,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> 
     let heads = stages.keep(
         "heads",
         |dir| read(dir, "heads.safetensors", checkpoint::get_heads),
-        || Ok(train_heads(&encoder, &planes, config, &device, &scenario, &noise)),
+        || Ok(train_heads(&encoder, &planes, &probe, config, &device, &scenario, &noise)),
         |heads: &Heads, dir| {
             let mut out = Writer::default();
             checkpoint::put_heads(&mut out, heads);
@@ -306,22 +307,28 @@ fn fit_probe(
     Probe { c: probe::fit(&y_c, &r_c), u: probe::fit(&y_u, &r_u) }
 }
 
+/// Base stations stand anywhere in the frame's square.
 fn train_heads(
     encoder: &Encoder,
     planes: &[[[f32; 2]; LATENT]; 2],
+    probe: &Probe,
     config: &TrainConfig,
     device: &burn::tensor::Device,
     scenario: &Scenario,
     noise: &Noise,
 ) -> Heads {
     let mut rng = noise.generator(Stream::Data, u64::from(u32::MAX) - 1);
-    let scenes = heads::sample(config.heads.frames, scenario, &mut rng);
-    let labels: Vec<_> = scenes.iter().map(|s| s.label(scenario, config.heads.distance_floor)).collect();
-    let latents = encoder.encode_all(&scenes, |s| s.frame(scenario));
-    let y_c: Vec<_> = latents.iter().map(|l| weights::on_plane(&planes[0], &l.z_c)).collect();
-    let y_u: Vec<_> = latents.iter().map(|l| weights::on_plane(&planes[1], &l.z_u)).collect();
+    let scenes = heads::sample(config.heads.frames, Station::Anywhere, scenario, &mut rng);
+    let floor = config.heads.distance_floor;
+    let latents = encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
+    let samples = Samples {
+        y_c: latents.iter().map(|l| weights::on_plane(&planes[0], &l.z_c)).collect(),
+        y_u: latents.iter().map(|l| weights::on_plane(&planes[1], &l.z_u)).collect(),
+        station: scenes.iter().map(|(_, station)| *station).collect(),
+        label: scenes.iter().map(|(s, station)| s.label(*station, scenario, floor)).collect(),
+    };
     let bar = bar("heads", 2 * config.heads.steps);
-    let heads = heads_fit::train(&y_c, &y_u, &labels, &config.heads, device, noise, || bar.inc(1));
+    let heads = heads_fit::train(&samples, probe, &config.heads, device, noise, || bar.inc(1));
     bar.finish();
     heads
 }

@@ -12,9 +12,9 @@ use sitl::camera::Frame;
 use crate::checkpoint::{self, CheckpointError};
 use crate::config::TrainConfig;
 use crate::evaluate::Metrics;
+pub use crate::heads_at::{Heads, HeadsAt};
 use crate::infer::Encoder;
 pub use crate::infer::Latent;
-use crate::mlp::Mlp;
 use crate::predictor::{Linear, Plane, Reduced};
 pub use crate::probe::{Affine, Probe};
 use crate::weights::{LATENT, on_plane, vector};
@@ -38,46 +38,6 @@ pub struct WorldModel {
     pub probe: Probe,
     /// Where it comes from and what was measured.
     pub card: Card,
-}
-
-/// Networks on the plane coordinates: x = [y_c · scale_c, y_u · scale_u] (4 numbers). The base
-/// station's state s_BS never changes, so it is no input.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Heads {
-    /// x to the logit of the collision probability.
-    pub collision: Mlp,
-    /// x to (ln |h|² - gain_mean) / gain_std.
-    pub gain: Mlp,
-    /// Mean of ln |h|² in the training data.
-    pub gain_mean: f32,
-    /// Standard deviation of ln |h|² in the training data.
-    pub gain_std: f32,
-    /// Factor on y_c, the same for both coordinates.
-    pub scale_c: f32,
-    /// Factor on y_u, the same for both coordinates.
-    pub scale_u: f32,
-}
-
-impl Heads {
-    /// x, the networks' input.
-    #[must_use]
-    pub fn input(&self, y_c: [f32; 2], y_u: [f32; 2]) -> [f32; 4] {
-        let (c, u) = (self.scale_c, self.scale_u);
-        [c * y_c[0], c * y_c[1], u * y_u[0], u * y_u[1]]
-    }
-
-    /// Collision probability in (0, 1).
-    #[must_use]
-    pub fn collision(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {
-        let logit = self.collision.forward(&self.input(y_c, y_u))[0];
-        1.0 / (1.0 + (-logit).exp())
-    }
-
-    /// ln |h|², natural logarithm of the channel's power gain.
-    #[must_use]
-    pub fn log_gain(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {
-        self.gain.forward(&self.input(y_c, y_u))[0].mul_add(self.gain_std, self.gain_mean)
-    }
 }
 
 /// What a checkpoint says of itself; equal for equal seeds (time and revision stand in card.md).
@@ -126,6 +86,12 @@ impl WorldModel {
     #[must_use]
     pub fn y_u(&self, latent: &Latent) -> [f32; 2] {
         on_plane(&self.plane_u, &latent.z_u)
+    }
+
+    /// The risk and channel heads for a base station at `station`, paper units.
+    #[must_use]
+    pub fn heads_at(&self, station: Vector2<f64>) -> HeadsAt {
+        self.heads.at(station, &self.probe)
     }
 
     /// The predictors in plane coordinates.

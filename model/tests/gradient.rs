@@ -1,9 +1,11 @@
 //! The hand-written reverse mode of J_η against finite differences.
 
 use model::crpl::{self, Draws, Execution, Head, Limits, Objective, Plant, Setting};
+use model::heads_at::SightLine;
 use model::kernel::LANES;
 use model::mlp::Mlp;
 use model::policy::Policies;
+use model::probe::{Affine, Probe};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -36,9 +38,18 @@ fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
         limits,
         goal: [4.0, 0.0],
-        collision: Head::new(collision).expect("a head's widths"),
-        gain: Head::new(net(&[4, 64, 64, 1], 1.0, rng)).expect("a head's widths"),
+        collision: Head::new(collision, None).expect("a head's widths"),
+        gain: Head::new(net(&[4, 64, 64, 1], 1.0, rng), Some(sight())).expect("a head's widths"),
     }
+}
+
+/// Latents of scale ten, a base station beside the path.
+fn sight() -> SightLine {
+    let map = |x: f64| Affine {
+        matrix: nalgebra::Matrix2::new(0.1, x, -x, 0.1),
+        offset: nalgebra::Vector2::new(0.5, 0.5 + x),
+    };
+    SightLine::new(nalgebra::Vector2::new(0.25, 0.4), &Probe { c: map(0.01), u: map(-0.02) }, 0.02)
 }
 
 fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> {
@@ -264,8 +275,8 @@ fn gradient_agrees_with_autodiff() {
     collision.layers[2].b[0] = -3.0;
     let gain = net(&[4, 64, 64, 1], 1.0, &mut rng);
     let mut plant = plant(Limits::Plain, &mut rng);
-    plant.collision = Head::new(collision.clone()).expect("a head's widths");
-    plant.gain = Head::new(gain.clone()).expect("a head's widths");
+    plant.collision = Head::new(collision.clone(), None).expect("a head's widths");
+    plant.gain = Head::new(gain.clone(), None).expect("a head's widths");
     let draws = draws(2, 12, &mut rng);
     let objective =
         Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };

@@ -2,7 +2,7 @@
 
 use model::dataset::{self, Start};
 use model::evaluate::{self, EvaluationConfig};
-use model::heads::{self, HeadsConfig, Scene};
+use model::heads::{self, HeadsConfig, Scene, Station};
 use model::jepa::{self, Backend};
 use model::world_model::WorldModel;
 use sitl::Scenario;
@@ -77,8 +77,8 @@ fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
 #[test]
 fn burn_and_the_flight_path_see_the_same() {
     let (model, scenario) = (shipped(), Scenario::default());
-    let scenes = heads::sample(24, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
-    let frames: Vec<_> = scenes.iter().map(|s| s.frame(&scenario)).collect();
+    let scenes = heads::sample(24, Station::Given, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
+    let frames: Vec<_> = scenes.iter().map(|(s, _)| s.frame(&scenario)).collect();
     let own: Vec<_> = frames.iter().map(|f| model.encode(f)).collect();
     let backends =
         if cfg!(feature = "ndarray") { vec![Backend::Flex, Backend::Ndarray] } else { vec![Backend::Flex] };

@@ -1,13 +1,16 @@
 //! A learned head in the rollout: its value for all lanes, and its slope in y_c.
 
 use super::lanes::{HIDDEN, tanh_all, times_tanh_slope};
-use crate::kernel::{self, Lane, ZERO};
+use crate::heads_at::SightLine;
+use crate::kernel::{self, LANES, Lane, ZERO};
 use crate::mlp::Mlp;
 
-/// A head with scalar output, MLP 4-64-64-1 on [y_c, y_u] (scales and constants folded in).
+/// A head with scalar output, MLP 4-64-64-1 (scales and constants folded in) on [y_c, y_u] or on their
+/// coordinates of the sight line.
 #[derive(Debug, Clone)]
 pub struct Head {
     net: Mlp,
+    sight: Option<SightLine>,
     w1_transposed: Vec<f32>,
     w2_transposed: Vec<f32>,
 }
@@ -15,7 +18,7 @@ pub struct Head {
 impl Head {
     /// Wraps a 4-64-64-1 network; `None` for other widths.
     #[must_use]
-    pub fn new(net: Mlp) -> Option<Self> {
+    pub fn new(net: Mlp, sight: Option<SightLine>) -> Option<Self> {
         let [a, b, c] = net.layers.as_slice() else { return None };
         let widths = [a.inputs, a.outputs, b.outputs, c.outputs];
         if widths != [4, HIDDEN, HIDDEN, 1] {
@@ -23,26 +26,19 @@ impl Head {
         }
         let (w1_transposed, w2_transposed) =
             (kernel::transpose(&a.w, HIDDEN), kernel::transpose(&b.w, HIDDEN));
-        Some(Self { net, w1_transposed, w2_transposed })
+        Some(Self { net, sight, w1_transposed, w2_transposed })
     }
 
-    /// Hidden layers and output for all lanes.
+    /// The output for all lanes.
     #[inline(always)]
-    pub(super) fn layers(&self, x: &[Lane; 4]) -> ([Lane; HIDDEN], [Lane; HIDDEN], Lane) {
-        let [l1, l2, l3] = self.net.layers.as_slice() else { return ([ZERO; HIDDEN], [ZERO; HIDDEN], ZERO) };
-        let (mut h1, mut h2, mut out) = ([ZERO; HIDDEN], [ZERO; HIDDEN], [ZERO; 1]);
-        kernel::affine(&l1.w, &l1.b, x, &mut h1);
-        tanh_all(&mut h1);
-        kernel::affine(&l2.w, &l2.b, &h1, &mut h2);
-        tanh_all(&mut h2);
-        kernel::affine(&l3.w, &l3.b, &h2, &mut out);
-        (h1, h2, out[0])
+    pub(super) fn value(&self, y: &[Lane; 4]) -> Lane {
+        self.layers(&self.input(y)).2
     }
 
     /// Gradient of the output with respect to y_c.
     #[inline(always)]
-    pub(super) fn gradient(&self, x: &[Lane; 4]) -> [Lane; 2] {
-        let (h1, h2, _) = self.layers(x);
+    pub(super) fn gradient(&self, y: &[Lane; 4]) -> [Lane; 2] {
+        let (h1, h2, _) = self.layers(&self.input(y));
         let Some(last) = self.net.layers.last() else { return [ZERO; 2] };
         let mut d2 = [ZERO; HIDDEN];
         for ((d, h), w) in d2.iter_mut().zip(&h2).zip(&last.w) {
@@ -54,6 +50,41 @@ impl Head {
         kernel::affine(&self.w2_transposed, &[0.0; HIDDEN], &d2, &mut d1);
         times_tanh_slope(&mut d1, &h1);
         kernel::affine(&self.w1_transposed, &[0.0; 4], &d1, &mut dx);
-        [dx[0], dx[1]]
+        let mut dy = [dx[0], dx[1]];
+        if let Some(sight) = &self.sight {
+            for l in 0..LANES {
+                let slope = std::array::from_fn(|i| dx[i][l]);
+                let by_y = sight.pull_back([y[0][l], y[1][l]], [y[2][l], y[3][l]], slope);
+                (dy[0][l], dy[1][l]) = (by_y[0], by_y[1]);
+            }
+        }
+        dy
+    }
+
+    /// What the network reads of [y_c, y_u].
+    #[inline(always)]
+    fn input(&self, y: &[Lane; 4]) -> [Lane; 4] {
+        let Some(sight) = &self.sight else { return *y };
+        let mut x = [ZERO; 4];
+        for l in 0..LANES {
+            let at = sight.coordinates([y[0][l], y[1][l]], [y[2][l], y[3][l]]);
+            for i in 0..4 {
+                x[i][l] = at[i];
+            }
+        }
+        x
+    }
+
+    /// Hidden layers and output for all lanes.
+    #[inline(always)]
+    fn layers(&self, x: &[Lane; 4]) -> ([Lane; HIDDEN], [Lane; HIDDEN], Lane) {
+        let [l1, l2, l3] = self.net.layers.as_slice() else { return ([ZERO; HIDDEN], [ZERO; HIDDEN], ZERO) };
+        let (mut h1, mut h2, mut out) = ([ZERO; HIDDEN], [ZERO; HIDDEN], [ZERO; 1]);
+        kernel::affine(&l1.w, &l1.b, x, &mut h1);
+        tanh_all(&mut h1);
+        kernel::affine(&l2.w, &l2.b, &h1, &mut h2);
+        tanh_all(&mut h2);
+        kernel::affine(&l3.w, &l3.b, &h2, &mut out);
+        (h1, h2, out[0])
     }
 }

@@ -181,9 +181,8 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut Trace) {
     let mut riskiest = [0.0f32; LANES];
     for k in 0..horizon {
         let (after, now) = (k + 2, k + 1);
-        let (_, _, logit) =
-            plant.collision.layers(&[t.y[after][0], t.y[after][1], t.u[after][0], t.u[after][1]]);
-        let (_, _, log_gain) = plant.gain.layers(&[t.y[now][0], t.y[now][1], t.u[now][0], t.u[now][1]]);
+        let logit = plant.collision.value(&[t.y[after][0], t.y[after][1], t.u[after][0], t.u[after][1]]);
+        let log_gain = plant.gain.value(&[t.y[now][0], t.y[now][1], t.u[now][0], t.u[now][1]]);
         for l in 0..LANES {
             t.risk[k][l] = kernel::sigmoid(logit[l]);
             riskiest[l] = riskiest[l].max(t.risk[k][l]);

@@ -13,8 +13,7 @@ use super::{OptimiseConfig, OptimiseError};
 use crate::checkpoint;
 use crate::crpl::{Draws, Head, Plant};
 use crate::kernel::{LANES, Lane, ZERO};
-use crate::mlp::Mlp;
-use crate::world_model::WorldModel;
+use crate::world_model::{HeadsAt, WorldModel};
 
 /// What the encoder must provide: plane coordinates of a picture of UAV and obstacle.
 pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
@@ -140,32 +139,17 @@ impl Stage {
     }
 }
 
-/// The learned world in plane coordinates, scales and noise power folded into the heads.
+/// The learned world in plane coordinates; base station and noise power folded into the heads.
 fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
     let psi = world.reduced();
     let rows = |m: &nalgebra::Matrix2<f64>| {
         [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
     };
-    let heads = &world.heads;
-    // Input scales into the first layer's rows, output scale and offset into the last layer.
-    let fold = |net: &Mlp, factor: f32, offset: f32| {
-        let mut net = net.clone();
-        if let Some(first) = net.layers.first_mut() {
-            let outputs = first.outputs;
-            for (i, row) in first.w.chunks_exact_mut(outputs).enumerate() {
-                let scale = if i < 2 { heads.scale_c } else { heads.scale_u };
-                row.iter_mut().for_each(|w| *w *= scale);
-            }
-        }
-        if let Some(last) = net.layers.last_mut() {
-            last.w.iter_mut().for_each(|w| *w *= factor);
-            last.b.iter_mut().for_each(|b| *b = *b * factor + offset);
-        }
-        net
-    };
-    let received = heads.gain_mean - (scenario.channel.noise_power as f32).ln();
-    let collision = fold(&heads.collision, 1.0, 0.0);
-    let gain = fold(&heads.gain, heads.gain_std, received);
+    let HeadsAt { collision, mut gain, sight } = world.heads_at(scenario.channel.base_station);
+    if let Some(last) = gain.layers.last_mut() {
+        last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
+    }
+    let (no_collision, no_gain) = (OptimiseError::Head("collision"), OptimiseError::Head("gain"));
     Ok(Plant {
         psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
         psi_u: [rows(&psi.u0), rows(&psi.u1)],
@@ -174,7 +158,7 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
         limits: config.limits,
         goal: [0.0; 2],
-        collision: Head::new(collision).ok_or(OptimiseError::Head("collision"))?,
-        gain: Head::new(gain).ok_or(OptimiseError::Head("gain"))?,
+        collision: Head::new(collision, None).ok_or(no_collision)?,
+        gain: Head::new(gain, Some(sight)).ok_or(no_gain)?,
     })
 }
