@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use clap::ValueEnum;
 use model::policy::Policies;
-use model::world_model::WorldModel;
+use model::world_model::{HeadsAt, WorldModel};
 use serde::{Deserialize, Serialize};
 use sitl::Scenario;
 use sitl::msg::{Motion, Telemetry, TxPower};
@@ -53,7 +53,7 @@ pub enum Pilot {
     /// Sees pictures, through the world model.
     Crpl(Arc<Policies>),
     /// As CRPL, and knows the radio's constants.
-    CrplBw(Arc<Policies>),
+    CrplBw(Arc<Policies>, Arc<HeadsAt>),
     /// Sees present telemetry and the equations.
     Apc,
     /// Sees present telemetry.
@@ -73,7 +73,9 @@ impl Pilot {
     ) -> (Motion, TxPower) {
         match self {
             Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
-            Self::CrplBw(policies) => crpl_bw::decide(policies, world, belief.latents(), scenario),
+            Self::CrplBw(policies, heads) => {
+                crpl_bw::decide(policies, heads, world, belief.latents(), scenario)
+            }
             Self::Apc => apc::decide(&Present::of(telemetry, scenario), scenario),
             Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),
             Self::Ucc(ucc) => ucc.decide(&Present::of(telemetry, scenario), scenario),

@@ -42,7 +42,10 @@ impl Brain {
     pub fn pilot(&self, controller: Controller, scenario: &Scenario) -> Result<Pilot> {
         Ok(match controller {
             Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
-            Controller::CrplBw => Pilot::CrplBw(Arc::new(self.policies(scenario)?)),
+            Controller::CrplBw => {
+                let heads = self.world.heads_at(scenario.channel.base_station);
+                Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(heads))
+            }
             Controller::Apc => Pilot::Apc,
             Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
             Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),

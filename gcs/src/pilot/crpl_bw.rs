@@ -7,7 +7,7 @@
 //! training run, for any bandwidth, packet and noise power.
 
 use model::policy::Policies;
-use model::world_model::WorldModel;
+use model::world_model::{HeadsAt, WorldModel};
 use sitl::Scenario;
 use sitl::msg::{Motion, TxPower};
 use sitl::world::channel::outage_snr;
@@ -23,18 +23,19 @@ pub const HEADROOM: f64 = 1.08;
 #[must_use]
 pub fn decide(
     policies: &Policies,
+    heads: &HeadsAt,
     world: &WorldModel,
     now: Latents,
     scenario: &Scenario,
 ) -> (Motion, TxPower) {
     let (motion, _) = crpl::decide(policies, world, now, scenario);
-    (motion, power(snr_at_low(world, now, scenario), needed(scenario.radio.packet_bits, scenario)))
+    (motion, power(snr_at_low(heads, now, scenario), needed(scenario.radio.packet_bits, scenario)))
 }
 
 /// γ at a_p = 1 as the channel head predicts it for this interval.
 #[must_use]
-pub fn snr_at_low(world: &WorldModel, now: Latents, scenario: &Scenario) -> f64 {
-    let gain = f64::from(world.heads.log_gain(now.y_c, now.y_u)).exp();
+pub fn snr_at_low(heads: &HeadsAt, now: Latents, scenario: &Scenario) -> f64 {
+    let gain = f64::from(heads.log_gain(now.y_c, now.y_u)).exp();
     gain * TxPower::Low.level() / scenario.channel.noise_power
 }
 
