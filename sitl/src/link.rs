@@ -20,8 +20,32 @@ pub mod image;
 pub mod tlog;
 pub mod wire;
 
+use std::net::SocketAddr;
+
 /// The dialect that both programs speak.
 pub use mavlink::dialects::common as dialect;
+
+/// Somebody at the other end: an address, behind one of our endpoints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PeerId {
+    /// Which of our endpoints, in the order in which they were named.
+    pub endpoint: usize,
+    /// Its address.
+    pub address: SocketAddr,
+}
+
+impl From<SocketAddr> for PeerId {
+    /// An address behind the only endpoint.
+    fn from(address: SocketAddr) -> Self {
+        Self { endpoint: 0, address }
+    }
+}
+
+impl std::fmt::Display for PeerId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.address.fmt(f)
+    }
+}
 
 /// Component id of the autopilot (MAV_COMP_ID_AUTOPILOT1).
 pub const AUTOPILOT: u8 = 1;

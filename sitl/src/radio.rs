@@ -100,6 +100,13 @@ impl Gate {
         }
     }
 
+    /// Forgets the held command and the one that waits, whose fate is then lost: the vehicle no longer
+    /// takes commands of the station.
+    pub fn release(&mut self) {
+        self.fates.lost += u64::from(self.pending.take().is_some());
+        self.held = None;
+    }
+
     /// The command that the vehicle flies.
     #[must_use]
     pub fn held(&self) -> Option<Held> {
@@ -168,6 +175,18 @@ mod tests {
         gate.transmit(Tick(5), false);
         assert_eq!((held_tick(&gate), gate.power()), (None, TxPower::Low));
         assert_eq!(gate.fates(), Fates { sent: 1, lost: 1, ..Fates::default() });
+    }
+
+    #[test]
+    fn a_released_command_is_lost_and_not_held() {
+        let mut gate = Gate::new(Rule::Ideal);
+        gate.submit(command(0));
+        gate.transmit(Tick(0), false);
+        gate.submit(command(1));
+        gate.release();
+        gate.transmit(Tick(1), false);
+        assert_eq!(gate.held(), None);
+        assert_eq!(gate.fates(), Fates { sent: 2, delivered: 1, lost: 1, ..Fates::default() });
     }
 
     #[test]

@@ -44,6 +44,10 @@ pub struct Scenario {
     pub scale: Scale,
     /// What the camera draws.
     pub camera: crate::camera::Camera,
+    /// What the vehicle does when it hears nothing.
+    pub failsafe: Failsafe,
+    /// How the vehicle flies by itself: missions, return, landing.
+    pub autopilot: Autopilot,
 }
 
 impl Default for Scenario {
@@ -65,6 +69,8 @@ impl Default for Scenario {
             propulsion: Propulsion::default(),
             scale: Scale::default(),
             camera: crate::camera::Camera::default(),
+            failsafe: Failsafe::default(),
+            autopilot: Autopilot::default(),
         }
     }
 }
@@ -256,6 +262,61 @@ impl Default for Propulsion {
     }
 }
 
+/// What the vehicle does on its own when something is not heard any longer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Action {
+    /// Goes on as before: the paper's rule, a UAV holds its last action.
+    Hold,
+    /// Brakes to a stop, as ArduCopter in GUIDED does.
+    Brake,
+    /// Flies back to the start and lands.
+    Return,
+}
+
+/// Time-outs and what follows them. The vehicle counts control intervals, not the wall's seconds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Failsafe {
+    /// When no setpoint has got through the radio for `setpoint_timeout_s` in GUIDED.
+    pub setpoint_action: Action,
+    /// Seconds of flight (our choice: ArduCopter's GUID_TIMEOUT).
+    pub setpoint_timeout_s: f64,
+    /// When no station has got anything through the radio for `station_timeout_s`.
+    pub station_action: Action,
+    /// Seconds (our choice: ArduCopter's FS_GCS_TIMEOUT, five heartbeats).
+    pub station_timeout_s: f64,
+}
+
+impl Default for Failsafe {
+    fn default() -> Self {
+        Self {
+            setpoint_action: Action::Hold,
+            setpoint_timeout_s: 3.0,
+            station_action: Action::Hold,
+            station_timeout_s: 5.0,
+        }
+    }
+}
+
+/// How the vehicle flies by itself. No experiment of the paper does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Autopilot {
+    /// Cruise speed, m/s (our choice).
+    pub speed_mps: f64,
+    /// A waypoint is reached within this distance, m (our choice).
+    pub acceptance_m: f64,
+    /// Speed of climb and descent, m/s (our choice).
+    pub climb_mps: f64,
+}
+
+impl Default for Autopilot {
+    fn default() -> Self {
+        Self { speed_mps: 20.0, acceptance_m: 5.0, climb_mps: 5.0 }
+    }
+}
+
 /// Why a scenario could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
@@ -354,6 +415,11 @@ impl Scenario {
             ("propulsion.induced_power", self.propulsion.induced_power),
             ("propulsion.tip_speed", self.propulsion.tip_speed),
             ("propulsion.hover_induced_velocity", self.propulsion.hover_induced_velocity),
+            ("failsafe.setpoint_timeout_s", self.failsafe.setpoint_timeout_s),
+            ("failsafe.station_timeout_s", self.failsafe.station_timeout_s),
+            ("autopilot.speed_mps", self.autopilot.speed_mps),
+            ("autopilot.acceptance_m", self.autopilot.acceptance_m),
+            ("autopilot.climb_mps", self.autopilot.climb_mps),
         ] {
             check(key, value, value > 0.0 && value.is_finite(), positive)?;
         }

@@ -166,7 +166,7 @@ impl Shell {
     async fn flush(&mut self) {
         while let Some((to, bytes)) = self.vehicle.poll() {
             // A peer that has gone away is no reason to stop flying.
-            if let Err(error) = self.socket.send_to(&bytes, to).await {
+            if let Err(error) = self.socket.send_to(&bytes, to.address).await {
                 tracing::debug!(%to, "sending: {error}");
             }
         }

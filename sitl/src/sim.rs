@@ -12,8 +12,21 @@ use crate::msg::{Command, LinkReport, Percept, Telemetry, TxPower};
 use crate::radio::{Fates, Gate};
 use crate::scenario::{Rule, Scenario};
 use crate::units::Tick;
+use crate::world::dynamics::State;
 use crate::world::noise::{Noise, Stream};
 use crate::world::{World, channel};
+
+/// Who flies the UAV in an interval.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Control {
+    /// The station: the held command.
+    #[default]
+    Station,
+    /// The vehicle itself: a normalised acceleration, within ±1 on each axis.
+    Onboard(Vector2<f64>),
+    /// Nobody: it stands on the ground.
+    Parked,
+}
 
 /// A flight in progress.
 #[derive(Debug, Clone)]
@@ -24,6 +37,7 @@ pub struct Sim {
     noise: Noise,
     tick: Tick,
     link: Option<LinkReport>,
+    control: Control,
 }
 
 impl Sim {
@@ -36,6 +50,7 @@ impl Sim {
             noise: Noise::new(seed),
             tick: Tick::default(),
             link: None,
+            control: Control::default(),
             scenario,
         }
     }
@@ -80,26 +95,55 @@ impl Sim {
         self.gate.submit(command);
     }
 
+    /// Forgets the command that is held and the one that waits.
+    pub fn release(&mut self) {
+        self.gate.release();
+    }
+
+    /// Says who flies from the next [`Sim::step`] on.
+    pub fn set_control(&mut self, control: Control) {
+        self.control = control;
+    }
+
     /// One control interval passes: the packet gets through or not, then the UAV moves.
     pub fn advance(&mut self) {
+        self.transmit();
+        self.step();
+    }
+
+    /// The first half of an interval: the packet gets through or not.
+    pub fn transmit(&mut self) {
         let (radio, power) = (&self.scenario.radio, self.gate.power());
         let snr = self.world.snr(power, &self.scenario);
         let outage = radio.rule != Rule::Ideal && channel::outage(radio.b_dt, snr, radio.packet_bits);
         self.gate.transmit(self.tick, outage);
         self.link = Some(LinkReport { snr_db: snr.to_db() as f32, power, outage });
+    }
 
+    /// The second half: the UAV moves, as [`Sim::set_control`] says.
+    pub fn step(&mut self) {
         let kick = self.scenario.disturbance.kick() * self.noise.normal(Stream::Wind, self.tick);
+        let parked = (self.control == Control::Parked).then_some(self.world.uav.r);
         self.world.step(self.flown(), kick, &self.scenario);
+        if let Some(place) = parked {
+            self.world.uav = State::at_rest(place);
+        }
         self.tick = self.tick.next();
     }
 
-    /// The normalised acceleration that the vehicle flies: the held one within ±1 on each axis.
+    /// The normalised acceleration that the vehicle flies, within ±1 on each axis: the held one, or
+    /// its own.
     #[must_use]
     pub fn flown(&self) -> Vector2<f64> {
-        self.gate.held().map_or(Vector2::zeros(), |held| {
-            let a = self.scenario.scale.paper_from_ned_acceleration(held.accel);
-            (a / self.scenario.dynamics.a_max).map(|x| x.clamp(-1.0, 1.0))
-        })
+        let wish = match (self.control, self.gate.held()) {
+            (Control::Station, Some(held)) => {
+                let a = self.scenario.scale.paper_from_ned_acceleration(held.accel);
+                a / self.scenario.dynamics.a_max
+            }
+            (Control::Onboard(a), _) => a,
+            (Control::Station, None) | (Control::Parked, _) => Vector2::zeros(),
+        };
+        wish.map(|x| x.clamp(-1.0, 1.0))
     }
 
     /// The vehicle's report at the start of this tick. Asking twice gives the same.
@@ -111,7 +155,7 @@ impl Sim {
             position: scale.ned_from_paper(self.world.uav.r),
             velocity: scale.ned_from_paper_velocity(self.world.uav.v),
             obstacle: scale.ned_from_paper(self.world.obstacle.r),
-            held: self.gate.held(),
+            held: self.gate.held().filter(|_| self.control == Control::Station),
             link: self.link,
         }
     }

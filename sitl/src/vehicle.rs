@@ -1,17 +1,19 @@
 //! The simulated vehicle as MAVLink peers see it: an autopilot (component 1) and its radio (68).
 //!
 //! A state machine around [`Sim`]: datagrams go in, datagrams come out, the caller says when a
-//! control interval passes and what time it is. Knows no socket and no clock. It is in GUIDED mode,
-//! armed and in the air from the start, with ArduCopter's mode numbers.
+//! control interval passes and what time it is. Knows no socket and no clock. It begins in GUIDED mode,
+//! armed and in the air, with ArduCopter's mode numbers.
 //!
 //! | module | what it is |
 //! |---|---|
 //! | `commands` | what is answered: setpoints, commands, image requests |
-//! | `battery`, `geodesy` | energy spent; where on Earth, how tilted |
+//! | `battery`, `geodesy`, `height` | energy spent; where on Earth, how tilted; up and down |
+//! | `failsafe` | silence, counted in control intervals, and what follows it |
 //! | `files` | that there are none |
+//! | `guidance` | braking, and going to a point |
 //! | `messages` | every message that can be asked for, one row each |
-//! | `missions` | that there are none |
-//! | `modes` | mode, arming, takeoff, landing |
+//! | `missions`, `plan` | the mission protocol; a mission as it is flown |
+//! | `modes` | mode, arming, takeoff, landing, who flies an interval |
 //! | `params` | the parameter tables of both components |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
@@ -23,29 +25,38 @@
 
 mod battery;
 mod commands;
+mod failsafe;
 mod files;
 mod geodesy;
+mod guidance;
+mod height;
 mod messages;
 mod missions;
 mod modes;
 mod params;
+mod plan;
 mod rates;
 mod streams;
 #[cfg(test)]
 mod tests;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use crate::link::decoder::{Counts, Decoder};
 use crate::link::dialect::MavSeverity;
 use crate::link::encoder::Encoder;
 use crate::link::wire::{Clock, Refusal};
-use crate::link::{AUTOPILOT, RADIO};
+use crate::link::{AUTOPILOT, PeerId, RADIO};
+use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
 use battery::Battery;
+use failsafe::Watch;
+use height::Height;
+use missions::Upload;
+use modes::Conduct;
+use plan::Plan;
 use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
@@ -60,9 +71,16 @@ pub struct Vehicle {
     clock: Clock,
     system: u8,
     ticks: Option<u64>,
+    /// The scenario with what was set since: what the vehicle itself goes by.
+    settings: Scenario,
+    conduct: Conduct,
+    height: Height,
+    watch: Watch,
+    plan: Plan,
+    upload: Option<Upload>,
     battery: Battery,
-    peers: BTreeMap<SocketAddr, Peer>,
-    outbox: VecDeque<(SocketAddr, Vec<u8>)>,
+    peers: BTreeMap<PeerId, Peer>,
+    outbox: VecDeque<(PeerId, Vec<u8>)>,
     /// This tick's picture, once somebody wanted it.
     png: Option<Vec<u8>>,
     /// How often this tick's percept has been sent to all.
@@ -91,6 +109,8 @@ pub struct Tally {
     pub setpoints: u64,
     /// Setpoints older than the newest one: late or repeated.
     pub stale: u64,
+    /// Good setpoints that came in another mode than GUIDED.
+    pub ignored: u64,
     /// Setpoints not taken.
     pub refused: BTreeMap<Refusal, u64>,
     /// Commands that it does not know.
@@ -99,7 +119,7 @@ pub struct Tally {
 
 impl std::fmt::Display for Tally {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} setpoints, {} stale", self.setpoints, self.stale)?;
+        write!(f, "{} setpoints, {} stale, {} in other modes", self.setpoints, self.stale, self.ignored)?;
         for (refusal, count) in &self.refused {
             write!(f, ", {count} x {refusal}")?;
         }
@@ -147,6 +167,12 @@ impl Vehicle {
     pub fn new(sim: Sim, system: u8, ticks: Option<u64>) -> Self {
         Self {
             clock: Clock::new(sim.scenario()),
+            settings: sim.scenario().clone(),
+            conduct: Conduct::flying(),
+            height: Height::hovering(sim.scenario().scale.altitude_m),
+            watch: Watch::default(),
+            plan: Plan::default(),
+            upload: None,
             sim,
             system,
             ticks,
@@ -173,14 +199,16 @@ impl Vehicle {
     }
 
     /// A peer that is spoken to before it has spoken.
-    pub fn add_peer(&mut self, address: SocketAddr, now: Duration) {
+    pub fn add_peer(&mut self, address: impl Into<PeerId>, now: Duration) {
+        let address = address.into();
         self.peers.insert(address, Peer::new(self.system, true, now));
         self.set_default_rates(address, now);
         self.greet(address);
     }
 
     /// A datagram has arrived.
-    pub fn datagram(&mut self, bytes: &[u8], from: SocketAddr, now: Duration) {
+    pub fn datagram(&mut self, bytes: &[u8], from: impl Into<PeerId>, now: Duration) {
+        let from = from.into();
         let known = self.peers.remove(&from);
         let is_new = known.is_none();
         let mut peer = known.unwrap_or_else(|| Peer::new(self.system, false, now));
@@ -211,7 +239,7 @@ impl Vehicle {
     }
 
     /// The next datagram to send, and where to.
-    pub fn poll(&mut self) -> Option<(SocketAddr, Vec<u8>)> {
+    pub fn poll(&mut self) -> Option<(PeerId, Vec<u8>)> {
         self.outbox.pop_front()
     }
 
@@ -242,12 +270,19 @@ impl Vehicle {
     /// One control interval passes; the percept at its end goes to all peers.
     pub fn advance(&mut self, now: Duration) {
         let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
-        self.sim.advance();
-        (self.ready, self.png, self.sendings) = (false, None, 0);
+        let arrivals = self.arrivals();
+        self.sim.transmit();
         let link = self.sim.telemetry().link;
         let after = link.is_some_and(|link| link.outage);
+        self.hear(self.arrivals() > arrivals, after, now);
+        let control = self.control(now);
+        self.sim.set_control(control);
+        self.sim.step();
+        (self.ready, self.png, self.sendings) = (false, None, 0);
         let power = link.map_or(self.sim.power(), |link| link.power);
-        self.battery.spend(self.sim.world().uav.v.norm(), power, self.sim.scenario());
+        let speed = self.conduct.armed.then(|| self.sim.world().uav.v.norm());
+        self.battery.spend(speed, power, self.sim.scenario());
+        self.rise_and_land(now);
         let tick = self.sim.tick();
         match (before, after) {
             (false, true) => self.say(
@@ -269,6 +304,12 @@ impl Vehicle {
             self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
         }
         self.send_percept();
+    }
+
+    /// Commands that have got through the radio.
+    fn arrivals(&self) -> u64 {
+        let fates = self.sim.fates();
+        fates.delivered + fates.delayed
     }
 
     /// The simulator inside.

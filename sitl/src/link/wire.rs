@@ -2,7 +2,7 @@
 //!
 //! | ours | theirs | from | fields |
 //! |---|---|---|---|
-//! | `Telemetry` position, velocity | LOCAL_POSITION_NED | 1 | x, vx north; y, vy east; z = -altitude |
+//! | `Telemetry` position, velocity | LOCAL_POSITION_NED | 1 | x, vx north; y, vy east; z, vz down |
 //! | `Telemetry::held` | POSITION_TARGET_LOCAL_NED | 1 | afx north, afy east, m/s²; `time_boot_ms` is *that command's*; mask 3135, or 0x0FFF before the first delivery |
 //! | `Telemetry::obstacle` | DEBUG_VECT `OBSTACLE` | 1 | x north, y east, z radius, m |
 //! | `LinkReport` (from tick 1 on) | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 68 | dB; 1 or 4; 0 or 1 |
@@ -43,12 +43,13 @@ const MASK_FORCE: u16 = 512;
 const FRAME_LOCAL_NED: u8 = 1;
 /// GLOBAL_RELATIVE_ALT and its old integer twin.
 const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
+/// GLOBAL and GLOBAL_RELATIVE_ALT, and their old integer twins.
+const FRAMES_GLOBAL: [u8; 4] = [0, 3, 5, 6];
 
 /// Ticks as milliseconds since the vehicle booted, and the constants that its messages carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clock {
     interval_s: f64,
-    altitude_m: f32,
     obstacle_radius_m: f32,
 }
 
@@ -59,7 +60,6 @@ impl Clock {
         let scale = &scenario.scale;
         Self {
             interval_s: scale.interval_s,
-            altitude_m: scale.altitude_m as f32,
             obstacle_radius_m: (scenario.obstacle.radius * scale.metres_per_unit) as f32,
         }
     }
@@ -83,15 +83,17 @@ impl Clock {
     }
 }
 
-/// Appends a report: autopilot's messages, then from tick 1 on the radio's.
+/// Appends a report: autopilot's messages, then from tick 1 on the radio's. `vertical` is z and vz of
+/// the local frame, down, m and m/s.
 pub fn push_telemetry(
     report: &Telemetry,
     clock: &Clock,
+    vertical: [f32; 2],
     autopilot: &mut Encoder,
     radio: &mut Encoder,
     datagram: &mut Vec<u8>,
 ) {
-    push_position(report, clock, autopilot, datagram);
+    push_position(report, clock, vertical, autopilot, datagram);
     push_held(report, clock, autopilot, datagram);
     push_obstacle(report, clock, autopilot, datagram);
     if let Some(link) = report.link {
@@ -100,12 +102,17 @@ pub fn push_telemetry(
     }
 }
 
-/// Appends LOCAL_POSITION_NED.
-pub fn push_position(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+/// Appends LOCAL_POSITION_NED; `z` and `vz` down.
+pub fn push_position(
+    report: &Telemetry,
+    clock: &Clock,
+    [z, vz]: [f32; 2],
+    autopilot: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
     let ([x, y], [vx, vy]) = (report.position, report.velocity);
     let time_boot_ms = clock.boot_ms(report.tick);
-    let position =
-        dialect::LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z: -clock.altitude_m, vx, vy, vz: 0.0 };
+    let position = dialect::LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
     autopilot.push(datagram, &position);
 }
 
@@ -418,8 +425,11 @@ pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>
 pub struct Ask {
     /// MAV_CMD.
     pub command: u16,
-    /// param1 and param2.
-    pub params: [f32; 2],
+    /// param1 to param4.
+    pub params: [f32; 4],
+    /// param5 and param6, or x and y, as latitude and longitude in degrees; `None` unless both are
+    /// there, in a frame of the globe, and a place on it.
+    pub place: Option<[f64; 2]>,
     /// param7 or z as a height above home, m; not a number if a COMMAND_INT has it in a frame of
     /// another origin.
     pub height: f32,
@@ -430,16 +440,24 @@ pub struct Ask {
 /// The command in a packet.
 #[must_use]
 pub fn ask_of(packet: &Packet) -> Option<Ask> {
-    // Both have params at 0, param7 or z at 24, command at 28, target at 30 and 31.
-    if !packet.is::<dialect::COMMAND_LONG_DATA>() && !packet.is::<dialect::COMMAND_INT_DATA>() {
+    // Both have params at 0, param5 or x at 16, param7 or z at 24, command at 28, target at 30 and 31.
+    let is_int = packet.is::<dialect::COMMAND_INT_DATA>();
+    if !packet.is::<dialect::COMMAND_LONG_DATA>() && !is_int {
         return None;
     }
     let fields = packet.fields();
-    let above_home =
-        !packet.is::<dialect::COMMAND_INT_DATA>() || FRAMES_RELATIVE_ALT.contains(&fields.u8(32));
+    let frame = fields.u8(32);
+    let place = if is_int {
+        let degrees = [16, 20].map(|at| f64::from(fields.u32(at) as i32) / 1e7);
+        FRAMES_GLOBAL.contains(&frame).then_some(degrees)
+    } else {
+        Some([16, 20].map(|at| f64::from(fields.f32(at))))
+    };
+    let above_home = !is_int || FRAMES_RELATIVE_ALT.contains(&frame);
     Some(Ask {
         command: fields.u16(28),
-        params: [fields.f32(0), fields.f32(4)],
+        params: [0, 4, 8, 12].map(|at| fields.f32(at)),
+        place: place.filter(|[latitude, longitude]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0),
         height: if above_home { fields.f32(24) } else { f32::NAN },
         target: Target { system: fields.u8(30), component: fields.u8(31) },
     })

@@ -29,10 +29,13 @@ pub(super) struct Battery {
 }
 
 impl Battery {
-    /// A control interval has passed at this speed, units per interval, and this transmit power.
-    pub fn spend(&mut self, speed: f64, power: TxPower, scenario: &Scenario) {
+    /// A control interval has passed at this speed, units per interval, or with the motors off, and at
+    /// this transmit power.
+    pub fn spend(&mut self, speed: Option<f64>, power: TxPower, scenario: &Scenario) {
         let scale = &scenario.scale;
-        let propulsion = energy::propulsion_power(speed * scale.mps_per_speed(), &scenario.propulsion);
+        let propulsion = speed.map_or(0.0, |speed| {
+            energy::propulsion_power(speed * scale.mps_per_speed(), &scenario.propulsion)
+        });
         let watts = propulsion + RADIO_WATTS * power.level();
         self.spent_j += watts * scale.interval_s;
         self.watts = Some(watts);
@@ -95,14 +98,14 @@ mod tests {
         assert_eq!((battery.remaining(), battery.centiamperes()), (100, -1));
         let mut seconds = 0.0;
         while battery.remaining() > 50 {
-            battery.spend(0.0, TxPower::Low, &scenario);
+            battery.spend(Some(0.0), TxPower::Low, &scenario);
             seconds += scenario.scale.interval_s;
         }
         let half = 0.495 * CAPACITY_J / (79.0 + 88.0 + 1.0);
         assert!((seconds - half).abs() < 1.0, "{seconds} s to a half, {half} s by hand");
         assert!((f64::from(battery.status().time_remaining) - CAPACITY_J / 168.0 + seconds).abs() < 2.0);
         for _ in 0..10_000 {
-            battery.spend(0.04, TxPower::High, &scenario);
+            battery.spend(Some(0.04), TxPower::High, &scenario);
         }
         let status = battery.status();
         assert_eq!((status.battery_remaining, status.time_remaining), (0, 0));

@@ -1,30 +1,33 @@
 //! What the vehicle answers: setpoints, commands, image requests, echoes.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use mavlink::MessageData;
 
-use super::modes::{CMD_ARM_DISARM, CMD_DO_SET_MODE, CMD_NAV_LAND, CMD_NAV_TAKEOFF};
+use super::modes::{self, Mode};
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavResult, MavSeverity};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
-use crate::link::{AUTOPILOT, RADIO};
+use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::msg::{Command, TxPower};
 
 const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
 const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
+const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
 const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 
 impl Vehicle {
-    pub(super) fn packet(&mut self, packet: &Packet, from: SocketAddr, now: Duration) {
+    pub(super) fn packet(&mut self, packet: &Packet, from: PeerId, now: Duration) {
         // Our own frames, sent back by a loop in somebody's routing.
         if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO) {
             return;
+        }
+        if packet.system != self.system {
+            self.watch.arrived();
         }
         let asker = (packet.system, packet.component);
         let fields = packet.fields();
@@ -63,7 +66,7 @@ impl Vehicle {
                         &dialect::TIMESYNC_DATA { tc1: boot_ns, ts1, target_system, target_component },
                     );
                 }
-                _ => self.mission(packet, asker, from),
+                _ => self.mission(packet, asker, from, now),
             }
         }
     }
@@ -88,7 +91,13 @@ impl Vehicle {
             self.tally.stale += 1;
         }
         self.begun = true;
-        self.sim.handle(Command { tick, accel, power: self.sim.power() });
+        if self.conduct.mode == Mode::Guided && self.conduct.armed && !self.height.on_ground() {
+            self.sim.handle(Command { tick, accel, power: self.sim.power() });
+            return;
+        }
+        self.tally.ignored += 1;
+        let why = if self.conduct.mode == Mode::Guided { "on the ground" } else { self.conduct.mode.name() };
+        self.refused("setpoint", &format!("setpoint ignored: {why}"), now);
     }
 
     fn refuse(&mut self, refusal: Refusal, now: Duration) {
@@ -102,17 +111,18 @@ impl Vehicle {
         self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
     }
 
-    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: SocketAddr, now: Duration) {
+    fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: PeerId, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
         let component = if to_autopilot { AUTOPILOT } else { RADIO };
+        let [first, second, ..] = ask.params;
         match ask.command {
             CMD_TX_POWER if to_radio => {
-                let result = self.tx_power(ask.params);
+                let result = self.tx_power([first, second]);
                 self.ack(ask.command, result, RADIO, asker, from);
             }
             _ if !to_autopilot && !to_radio => {}
             CMD_REQUEST_MESSAGE => {
-                let found = self.requested(ask.params[0], component, now);
+                let found = self.requested(first, component, now);
                 self.ack(ask.command, found.err().unwrap_or(OK), component, asker, from);
                 if let Ok(row) = found {
                     self.send_message(row, from, now);
@@ -124,14 +134,18 @@ impl Vehicle {
                 self.reply(from, &version);
             }
             CMD_SET_MESSAGE_INTERVAL => {
-                let result = self.set_interval(ask.params, component, from, now);
+                let result = self.set_interval([first, second], component, from, now);
                 self.ack(ask.command, result, component, asker, from);
             }
             CMD_GET_MESSAGE_INTERVAL => {
-                let result = self.tell_interval(ask.params[0], component, from);
+                let result = self.tell_interval(first, component, from);
                 self.ack(ask.command, result, component, asker, from);
             }
-            CMD_ARM_DISARM | CMD_DO_SET_MODE | CMD_NAV_TAKEOFF | CMD_NAV_LAND if to_autopilot => {
+            CMD_DO_SET_MISSION_CURRENT if to_autopilot => {
+                let result = self.current_command([first, second], now);
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
+            }
+            command if to_autopilot && modes::COMMANDS.contains(&command) => {
                 let result = self.mode_command(ask, now);
                 self.ack(ask.command, result, AUTOPILOT, asker, from);
             }
@@ -157,7 +171,7 @@ impl Vehicle {
         MavResult::MAV_RESULT_ACCEPTED
     }
 
-    fn image_wish(&mut self, wish: Wish, from: SocketAddr, now: Duration) {
+    fn image_wish(&mut self, wish: Wish, from: PeerId, now: Duration) {
         let Some(peer) = self.peers.get_mut(&from) else { return };
         match wish {
             Wish::Start => {
@@ -189,14 +203,14 @@ impl Vehicle {
         target.is(self.system, RADIO)
     }
 
-    pub(super) fn reply<M: MessageData>(&mut self, to: SocketAddr, message: &M) {
+    pub(super) fn reply<M: MessageData>(&mut self, to: PeerId, message: &M) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.autopilot.push(&mut datagram, message);
         self.outbox.push_back((to, datagram));
     }
 
-    fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: SocketAddr) {
+    fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: PeerId) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.encoder(component).push_ack(&mut datagram, command, result, asker);

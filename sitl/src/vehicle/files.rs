@@ -8,13 +8,11 @@
 //! | anything else | Nak UnknownCommand |
 //! | an Ack or a Nak | nothing |
 
-use std::net::SocketAddr;
-
 use super::Vehicle;
-use crate::link::AUTOPILOT;
 use crate::link::decoder::Packet;
 use crate::link::dialect;
 use crate::link::wire::Target;
+use crate::link::{AUTOPILOT, PeerId};
 
 /// Where the operation begins in the message, and what stands where in it (MAVLink FTP, payload format).
 const OPERATION: usize = 3;
@@ -34,7 +32,7 @@ const FILE_NOT_FOUND: u8 = 10;
 
 impl Vehicle {
     /// Answers FILE_TRANSFER_PROTOCOL; tells whether the packet was one.
-    pub(super) fn files(&mut self, packet: &Packet, asker: (u8, u8), from: SocketAddr) -> bool {
+    pub(super) fn files(&mut self, packet: &Packet, asker: (u8, u8), from: PeerId) -> bool {
         if !packet.is::<dialect::FILE_TRANSFER_PROTOCOL_DATA>() {
             return false;
         }

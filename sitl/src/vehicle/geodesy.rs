@@ -19,6 +19,13 @@ pub(super) fn latitude_longitude([north, east]: [f32; 2]) -> [i32; 2] {
     [latitude, longitude].map(|degrees| (degrees * 1e7).round() as i32)
 }
 
+/// North and east of home, metres, of a latitude and a longitude in degrees.
+pub(super) fn north_east([latitude, longitude]: [f64; 2]) -> [f32; 2] {
+    let north = (latitude - HOME[0]).to_radians() * EARTH_M;
+    let east = (longitude - HOME[1]).to_radians() * EARTH_M * HOME[0].to_radians().cos();
+    [north as f32, east as f32]
+}
+
 /// Roll and pitch, radians, at which the thrust of a level, north-looking multirotor accelerates it
 /// north and east by this much, m/s²: a_n = -g tan θ, a_e = g tan φ / cos θ.
 pub(super) fn tilt([north, east]: [f32; 2]) -> [f32; 2] {
@@ -44,6 +51,15 @@ mod tests {
         }
         assert!(tilt([1.0, 0.0])[1] < 0.0, "nose down to fly north");
         assert!(tilt([0.0, 1.0])[0] > 0.0, "right side down to fly east");
+    }
+
+    #[test]
+    fn degrees_there_and_back_are_within_two_centimetres() {
+        for place in [[0.0, 0.0], [500.0, 1.0], [250.5, 450.25]] {
+            let degrees = latitude_longitude(place).map(|degrees| f64::from(degrees) / 1e7);
+            let back = north_east(degrees);
+            assert!((0..2).all(|axis| (back[axis] - place[axis]).abs() < 0.02), "{place:?} {back:?}");
+        }
     }
 
     #[test]

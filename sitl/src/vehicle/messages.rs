@@ -10,13 +10,14 @@
 //! | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 251 | 68 | in every percept from tick 1 on | |
 //! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
 //! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
-//! | GLOBAL_POSITION_INT: home plus the local position | 33 | 1 | 4 Hz | POSITION |
+//! | GLOBAL_POSITION_INT: the local position on Earth | 33 | 1 | 4 Hz | POSITION |
 //! | SYS_STATUS: battery; radio packets lost | 1 | 1 | 1 Hz | EXTENDED_STATUS |
 //! | SYSTEM_TIME | 2 | 1 | 1 Hz | EXTRA3 |
 //! | EXTENDED_SYS_STATE | 245 | 1 | 1 Hz | EXTENDED_STATUS |
 //! | BATTERY_STATUS: energy really spent | 147 | 1 | 0.5 Hz | EXTRA3 |
-//! | HOME_POSITION: the local frame's origin | 242 | 1 | 0.5 Hz | EXTRA3 |
-//! | GPS_GLOBAL_ORIGIN: the same | 49 | 1 | on request | |
+//! | MISSION_CURRENT | 42 | 1 | 1 Hz | EXTENDED_STATUS |
+//! | HOME_POSITION: the start, to which RTL returns | 242 | 1 | 0.5 Hz | EXTRA3 |
+//! | GPS_GLOBAL_ORIGIN: the local frame's | 49 | 1 | on request | |
 //! | AUTOPILOT_VERSION | 148 | 1 | on request | |
 //! | PROTOCOL_VERSION | 300 | 1 | on request | |
 //!
@@ -30,6 +31,8 @@ use mavlink::MessageData;
 
 use super::battery::Battery;
 use super::geodesy::{self, HOME};
+use super::height::Height;
+use super::modes::Conduct;
 use crate::link::dialect::{
     self, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState, MavSysStatusSensor,
     MavSysStatusSensorExtended, MavType, MavVtolState,
@@ -40,20 +43,22 @@ use crate::link::{AUTOPILOT, RADIO};
 use crate::msg::Telemetry;
 use crate::radio::Fates;
 
-/// ArduCopter's number of GUIDED.
-pub(super) const MODE_GUIDED: u32 = 4;
-/// Armed, guided, stabilised, manual input and custom mode, as ArduCopter in GUIDED says.
-const BASE_MODE: u8 = 217;
-
 /// What messages are made of: the vehicle at one moment.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct State {
     pub report: Telemetry,
     pub clock: Clock,
     pub system: u8,
     /// Flown: north, east, m/s².
     pub accel: [f32; 2],
-    pub altitude_m: f64,
+    pub conduct: Conduct,
+    pub height: Height,
+    pub system_status: MavState,
+    pub mission: dialect::MISSION_CURRENT_DATA,
+    /// Latitude and longitude of the start, 1e-7 degrees.
+    pub launch: [i32; 2],
+    /// The same, north and east, m.
+    pub start: [f32; 2],
     pub battery: Battery,
     pub fates: Fates,
     /// Since 1970, if known.
@@ -136,10 +141,12 @@ const fn percept(id: u32, component: u8, push: fn(&State, &mut Encoder, &mut Vec
 
 /// All rows, in the order of the table above.
 pub(super) static ROWS: &[Row] = &[
-    row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &State| autopilot_heartbeat()),
+    row!(HEARTBEAT_DATA, Goes::Heartbeat, |state: &State| {
+        autopilot_heartbeat(&state.conduct, state.system_status)
+    }),
     Row { component: RADIO, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &State| radio_heartbeat()) },
     percept(dialect::LOCAL_POSITION_NED_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
-        wire::push_position(&state.report, &state.clock, encoder, datagram);
+        wire::push_position(&state.report, &state.clock, state.height.ned(), encoder, datagram);
     }),
     percept(dialect::POSITION_TARGET_LOCAL_NED_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
         wire::push_held(&state.report, &state.clock, encoder, datagram);
@@ -163,6 +170,9 @@ pub(super) static ROWS: &[Row] = &[
     row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
     row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),
     row!(BATTERY_STATUS_DATA, Goes::Stream(0.5, Group::Extra3), |state: &State| state.battery.status()),
+    row!(MISSION_CURRENT_DATA, Goes::Stream(1.0, Group::ExtendedStatus), |state: &State| {
+        state.mission.clone()
+    }),
     row!(HOME_POSITION_DATA, Goes::Stream(0.5, Group::Extra3), home_position),
     row!(GPS_GLOBAL_ORIGIN_DATA, Goes::OnRequest, origin),
     row!(AUTOPILOT_VERSION_DATA, Goes::OnRequest, version),
@@ -177,13 +187,13 @@ impl State {
 }
 
 /// HEARTBEAT of component 1.
-pub(super) fn autopilot_heartbeat() -> dialect::HEARTBEAT_DATA {
+pub(super) fn autopilot_heartbeat(conduct: &Conduct, system_status: MavState) -> dialect::HEARTBEAT_DATA {
     dialect::HEARTBEAT_DATA {
-        custom_mode: MODE_GUIDED,
+        custom_mode: conduct.mode as u32,
         mavtype: MavType::MAV_TYPE_QUADROTOR,
         autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
-        base_mode: MavModeFlag::from_bits_retain(BASE_MODE),
-        system_status: MavState::MAV_STATE_ACTIVE,
+        base_mode: conduct.base_mode(),
+        system_status,
         mavlink_version: 3,
     }
 }
@@ -195,7 +205,8 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
         mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
         autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
         base_mode: MavModeFlag::empty(),
-        ..autopilot_heartbeat()
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
     }
 }
 
@@ -212,11 +223,11 @@ fn global_position(state: &State) -> dialect::GLOBAL_POSITION_INT_DATA {
         time_boot_ms: state.boot_ms(),
         lat,
         lon,
-        alt: millimetres(HOME[2] + state.altitude_m),
-        relative_alt: millimetres(state.altitude_m),
+        alt: millimetres(HOME[2] + state.height.altitude_m),
+        relative_alt: millimetres(state.height.altitude_m),
         vx,
         vy,
-        vz: 0,
+        vz: (-100.0 * state.height.climb_mps).round() as i16,
         hdg: 0,
     }
 }
@@ -261,11 +272,14 @@ fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
 }
 
 fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
-    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    let [latitude, longitude] = state.launch;
+    let [x, y] = state.start;
     dialect::HOME_POSITION_DATA {
         latitude,
         longitude,
         altitude: millimetres(HOME[2]),
+        x,
+        y,
         q: [1.0, 0.0, 0.0, 0.0],
         time_usec: u64::from(state.boot_ms()) * 1000,
         ..Default::default()
@@ -273,13 +287,9 @@ fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
 }
 
 fn origin(state: &State) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
-    let home = home_position(state);
-    dialect::GPS_GLOBAL_ORIGIN_DATA {
-        latitude: home.latitude,
-        longitude: home.longitude,
-        altitude: home.altitude,
-        time_usec: home.time_usec,
-    }
+    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    let time_usec = u64::from(state.boot_ms()) * 1000;
+    dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(HOME[2]), time_usec }
 }
 
 fn system_time(state: &State) -> dialect::SYSTEM_TIME_DATA {
@@ -287,17 +297,22 @@ fn system_time(state: &State) -> dialect::SYSTEM_TIME_DATA {
     dialect::SYSTEM_TIME_DATA { time_unix_usec, time_boot_ms: state.boot_ms() }
 }
 
-fn extended_state(_: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
-    dialect::EXTENDED_SYS_STATE_DATA {
-        vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED,
-        landed_state: MavLandedState::MAV_LANDED_STATE_IN_AIR,
-    }
+fn extended_state(state: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
+    let landed_state = match state.conduct {
+        Conduct { climbing: true, .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
+        _ if state.height.on_ground() => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
+        _ if state.height.climb_mps < 0.0 => MavLandedState::MAV_LANDED_STATE_LANDING,
+        _ => MavLandedState::MAV_LANDED_STATE_IN_AIR,
+    };
+    dialect::EXTENDED_SYS_STATE_DATA { vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED, landed_state }
 }
 
-/// What the vehicle can do, and nothing else: no mission, no file transfer, no fence.
+/// What the vehicle can do, and nothing else: no file transfer, no fence.
 pub(super) fn version(state: &State) -> dialect::AUTOPILOT_VERSION_DATA {
     dialect::AUTOPILOT_VERSION_DATA {
-        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2

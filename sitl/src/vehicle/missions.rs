@@ -1,22 +1,71 @@
-//! The mission protocol of a vehicle without missions: it says so at once, so that no ground station
-//! waits. The capabilities name no mission either.
+//! The mission protocol: lists up and down, by both item forms. Knows messages and what makes an item
+//! good; how items are flown is in [`plan`].
+//!
+//! As with ArduPilot, item 0 of a mission is home: whatever is uploaded there is answered, on
+//! download, with the vehicle's own home, and flying begins with item 1.
 //!
 //! | asked, of the autopilot | answered to the asker |
 //! |---|---|
-//! | MISSION_REQUEST_LIST of missions, fences or rally points | MISSION_COUNT 0 |
-//! | MISSION_REQUEST_LIST of another type | MISSION_ACK UNSUPPORTED |
-//! | an upload (MISSION_COUNT, MISSION_WRITE_PARTIAL_LIST, items), a download's next item, MISSION_CLEAR_ALL, MISSION_SET_CURRENT | MISSION_ACK UNSUPPORTED |
-//! | MISSION_ACK | nothing |
+//! | MISSION_REQUEST_LIST | MISSION_COUNT; fences and rally points: 0; another type: ACK UNSUPPORTED |
+//! | MISSION_REQUEST_INT, MISSION_REQUEST | MISSION_ITEM_INT, MISSION_ITEM; past the end: ACK INVALID_SEQUENCE |
+//! | MISSION_COUNT | MISSION_REQUEST_INT of each item, then ACK ACCEPTED or the first item's fault; 0 clears |
+//! | more than 700 items | ACK NO_SPACE |
+//! | the same while another station uploads | ACK DENIED |
+//! | MISSION_WRITE_PARTIAL_LIST | requests of those items; beyond the list: ACK INVALID_SEQUENCE |
+//! | an item that nobody asked for | ACK ERROR |
+//! | an item out of turn | the request for the right one, again |
+//! | MISSION_CLEAR_ALL | ACK ACCEPTED, of fences and rally points too: there are none |
+//! | MISSION_SET_CURRENT, DO_SET_MISSION_CURRENT | MISSION_CURRENT to all; an item that is not there: ACK INVALID_SEQUENCE, DENIED |
+//! | uploads of fences and rally points, MISSION_REQUEST_PARTIAL_LIST | ACK UNSUPPORTED |
+//! | MISSION_ACK | nothing; one that says other than ACCEPTED ends the asker's upload |
+//!
+//! An item that does not come is asked for again each second, in turn as MISSION_REQUEST_INT and as
+//! MISSION_REQUEST, which older stations wait for; after five times the upload ends with
+//! OPERATION_CANCELLED and the old mission stays.
 
-use std::net::SocketAddr;
+use std::time::Duration;
 
 use mavlink::MessageData;
 
 use super::Vehicle;
-use crate::link::AUTOPILOT;
+use super::modes::Mode;
+use super::plan::{Fault, Item, Plan};
 use crate::link::decoder::Packet;
-use crate::link::dialect::{self, MavMissionResult, MavMissionType};
+use crate::link::dialect::{self, MavMissionResult, MavMissionType, MavResult};
 use crate::link::wire::Target;
+use crate::link::{AUTOPILOT, PeerId};
+
+/// The longest mission.
+const MOST_ITEMS: u16 = 700;
+/// How long an item is waited for.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// How often it is asked for again.
+const MOST_TRIES: u32 = 5;
+
+const MISSION: MavMissionType = MavMissionType::MAV_MISSION_TYPE_MISSION;
+const ACCEPTED: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
+
+/// A mission on its way up.
+#[derive(Debug, Clone)]
+pub(super) struct Upload {
+    from: PeerId,
+    asker: (u8, u8),
+    /// The list that it will be: the old items where a partial upload leaves them.
+    items: Vec<Item>,
+    /// The item that is asked for.
+    next: u16,
+    /// One behind the last.
+    end: u16,
+    tries: u32,
+    due: Duration,
+}
+
+impl Upload {
+    /// When the item is asked for again.
+    pub fn due(&self) -> Duration {
+        self.due
+    }
+}
 
 /// Where a mission message has its target's system and component, and its mission type if any.
 struct Layout {
@@ -27,6 +76,7 @@ struct Layout {
 fn layout(id: u32) -> Option<Layout> {
     let (target, kind) = match id {
         dialect::MISSION_REQUEST_LIST_DATA::ID | dialect::MISSION_CLEAR_ALL_DATA::ID => (0, Some(2)),
+        dialect::MISSION_ACK_DATA::ID => (0, Some(3)),
         dialect::MISSION_COUNT_DATA::ID
         | dialect::MISSION_REQUEST_DATA::ID
         | dialect::MISSION_REQUEST_INT_DATA::ID => (2, Some(4)),
@@ -43,7 +93,7 @@ fn layout(id: u32) -> Option<Layout> {
 /// The lists that a vehicle could have.
 fn mission_type(number: u8) -> Option<MavMissionType> {
     match number {
-        0 => Some(MavMissionType::MAV_MISSION_TYPE_MISSION),
+        0 => Some(MISSION),
         1 => Some(MavMissionType::MAV_MISSION_TYPE_FENCE),
         2 => Some(MavMissionType::MAV_MISSION_TYPE_RALLY),
         _ => None,
@@ -52,36 +102,250 @@ fn mission_type(number: u8) -> Option<MavMissionType> {
 
 impl Vehicle {
     /// Answers a message of the mission protocol; leaves any other alone.
-    pub(super) fn mission(&mut self, packet: &Packet, asker: (u8, u8), from: SocketAddr) {
+    pub(super) fn mission(&mut self, packet: &Packet, asker: (u8, u8), from: PeerId, now: Duration) {
         let Some(Layout { target, kind }) = layout(packet.id) else { return };
         let fields = packet.fields();
         let target = Target { system: fields.u8(target), component: fields.u8(target + 1) };
         if !target.is(self.system, AUTOPILOT) {
             return;
         }
-        let (target_system, target_component) = asker;
         let list = mission_type(kind.map_or(0, |at| fields.u8(at)));
-        match list {
-            Some(mission_type) if packet.is::<dialect::MISSION_REQUEST_LIST_DATA>() => {
-                let count = dialect::MISSION_COUNT_DATA {
-                    count: 0,
-                    target_system,
-                    target_component,
-                    mission_type,
-                    opaque_id: 0,
-                };
-                self.reply(from, &count);
+        if packet.is::<dialect::MISSION_ACK_DATA>() {
+            return self.upload_ended(fields.u8(2), asker, from);
+        }
+        if list != Some(MISSION) {
+            return self.other_list(packet, list, asker, from);
+        }
+        match packet.id {
+            dialect::MISSION_REQUEST_LIST_DATA::ID => {
+                let count = self.plan.items().len() as u16;
+                self.tell_count(count, MISSION, asker, from);
+            }
+            dialect::MISSION_REQUEST_INT_DATA::ID | dialect::MISSION_REQUEST_DATA::ID => {
+                let as_int = packet.is::<dialect::MISSION_REQUEST_INT_DATA>();
+                self.tell_item(fields.u16(0), as_int, asker, from);
+            }
+            dialect::MISSION_COUNT_DATA::ID => self.upload(0, fields.u16(0), Vec::new(), asker, from, now),
+            dialect::MISSION_WRITE_PARTIAL_LIST_DATA::ID => {
+                let (first, last) = (fields.u16(0) as i16, fields.u16(2) as i16);
+                let items = self.plan.items().to_vec();
+                if first < 0 || last < first || last as usize >= items.len() {
+                    let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+                    return self.mission_ack(result, MISSION, asker, from);
+                }
+                self.upload(first as u16, last as u16 + 1, items, asker, from, now);
+            }
+            dialect::MISSION_ITEM_INT_DATA::ID | dialect::MISSION_ITEM_DATA::ID => {
+                self.item(packet, asker, from, now);
+            }
+            dialect::MISSION_CLEAR_ALL_DATA::ID => {
+                self.install(Vec::new());
+                self.mission_ack(ACCEPTED, MISSION, asker, from);
+            }
+            dialect::MISSION_SET_CURRENT_DATA::ID => {
+                if !self.set_current(fields.u16(0), now) {
+                    let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+                    self.mission_ack(result, MISSION, asker, from);
+                }
+            }
+            _ => self.mission_ack(MavMissionResult::MAV_MISSION_UNSUPPORTED, MISSION, asker, from),
+        }
+    }
+
+    /// Fences and rally points: there are none, and there can be none.
+    fn other_list(&mut self, packet: &Packet, list: Option<MavMissionType>, asker: (u8, u8), from: PeerId) {
+        match (list, packet.id) {
+            (Some(list), dialect::MISSION_REQUEST_LIST_DATA::ID) => self.tell_count(0, list, asker, from),
+            (Some(list), dialect::MISSION_CLEAR_ALL_DATA::ID) => {
+                self.mission_ack(ACCEPTED, list, asker, from)
+            }
+            // 255, all lists.
+            (None, dialect::MISSION_CLEAR_ALL_DATA::ID) if packet.fields().u8(2) == u8::MAX => {
+                self.install(Vec::new());
+                self.mission_ack(ACCEPTED, MavMissionType::MAV_MISSION_TYPE_ALL, asker, from);
             }
             _ => {
-                let ack = dialect::MISSION_ACK_DATA {
-                    target_system,
-                    target_component,
-                    mavtype: MavMissionResult::MAV_MISSION_UNSUPPORTED,
-                    mission_type: list.unwrap_or_default(),
-                    opaque_id: 0,
-                };
-                self.reply(from, &ack);
+                let list = list.unwrap_or_default();
+                self.mission_ack(MavMissionResult::MAV_MISSION_UNSUPPORTED, list, asker, from);
             }
         }
+    }
+
+    fn tell_count(&mut self, count: u16, mission_type: MavMissionType, asker: (u8, u8), to: PeerId) {
+        let (target_system, target_component) = asker;
+        let opaque_id = if mission_type == MISSION { self.plan.id() } else { 0 };
+        let count =
+            dialect::MISSION_COUNT_DATA { count, target_system, target_component, mission_type, opaque_id };
+        self.reply(to, &count);
+    }
+
+    fn tell_item(&mut self, seq: u16, as_int: bool, asker: (u8, u8), to: PeerId) {
+        let Some(item) = self.plan.items().get(usize::from(seq)) else {
+            return self.mission_ack(MavMissionResult::MAV_MISSION_INVALID_SEQUENCE, MISSION, asker, to);
+        };
+        let item = if seq == 0 { Item::home(self.launch()) } else { *item };
+        let current = u8::from(seq == self.plan.current());
+        if as_int {
+            self.reply(to, &item.as_int(seq, current, asker));
+        } else {
+            self.reply(to, &item.as_float(seq, current, asker));
+        }
+    }
+
+    /// MISSION_COUNT or MISSION_WRITE_PARTIAL_LIST: items `first..end` will come.
+    fn upload(
+        &mut self,
+        first: u16,
+        end: u16,
+        items: Vec<Item>,
+        asker: (u8, u8),
+        from: PeerId,
+        now: Duration,
+    ) {
+        if self.upload.as_ref().is_some_and(|upload| (upload.from, upload.asker) != (from, asker)) {
+            return self.mission_ack(MavMissionResult::MAV_MISSION_DENIED, MISSION, asker, from);
+        }
+        if end > MOST_ITEMS {
+            return self.mission_ack(MavMissionResult::MAV_MISSION_NO_SPACE, MISSION, asker, from);
+        }
+        if first == end {
+            self.install(Vec::new());
+            return self.mission_ack(ACCEPTED, MISSION, asker, from);
+        }
+        self.upload = Some(Upload { from, asker, items, next: first, end, tries: 0, due: now + PATIENCE });
+        self.request_item();
+    }
+
+    fn request_item(&mut self) {
+        let Some(&Upload { from, asker, next: seq, tries, .. }) = self.upload.as_ref() else { return };
+        let ((target_system, target_component), mission_type) = (asker, MISSION);
+        if tries % 2 == 0 {
+            let request =
+                dialect::MISSION_REQUEST_INT_DATA { seq, target_system, target_component, mission_type };
+            self.reply(from, &request);
+        } else {
+            let request =
+                dialect::MISSION_REQUEST_DATA { seq, target_system, target_component, mission_type };
+            self.reply(from, &request);
+        }
+    }
+
+    /// MISSION_ITEM_INT or MISSION_ITEM.
+    fn item(&mut self, packet: &Packet, asker: (u8, u8), from: PeerId, now: Duration) {
+        let expected = self.upload.as_ref().filter(|upload| (upload.from, upload.asker) == (from, asker));
+        let Some(expected) = expected.map(|upload| upload.next) else {
+            return self.mission_ack(MavMissionResult::MAV_MISSION_ERROR, MISSION, asker, from);
+        };
+        let (seq, item) = Item::of(packet);
+        if seq != expected {
+            return self.request_item();
+        }
+        let fault = if seq == 0 { None } else { self.fault(&item).err() };
+        let Some(upload) = self.upload.as_mut() else { return };
+        if let Some(Fault { result, why }) = fault {
+            self.upload = None;
+            self.refused("mission", &format!("mission item {seq} refused: {why}"), now);
+            return self.mission_ack(result, MISSION, asker, from);
+        }
+        match upload.items.get_mut(usize::from(seq)) {
+            Some(old) => *old = item,
+            None => upload.items.push(item),
+        }
+        (upload.next, upload.tries, upload.due) = (seq + 1, 0, now + PATIENCE);
+        if upload.next < upload.end {
+            return self.request_item();
+        }
+        let items = std::mem::take(&mut upload.items);
+        if let Err(Fault { result, why }) = Plan::check(&items) {
+            self.upload = None;
+            self.refused("mission", &format!("mission refused: {why}"), now);
+            return self.mission_ack(result, MISSION, asker, from);
+        }
+        self.notice("mission", &format!("mission of {} items", items.len()), now);
+        self.install(items);
+        self.mission_ack(ACCEPTED, MISSION, asker, from);
+    }
+
+    fn install(&mut self, items: Vec<Item>) {
+        self.upload = None;
+        self.plan = Plan::new(items);
+    }
+
+    /// The station has given up its upload.
+    fn upload_ended(&mut self, result: u8, asker: (u8, u8), from: PeerId) {
+        let is_theirs = |upload: &Upload| (upload.from, upload.asker) == (from, asker);
+        if result != ACCEPTED as u8 && self.upload.as_ref().is_some_and(is_theirs) {
+            self.upload = None;
+        }
+    }
+
+    /// Asks again for an item that did not come, or gives up.
+    pub(super) fn upload_timer(&mut self, now: Duration) {
+        let Some(upload) = self.upload.as_mut().filter(|upload| upload.due <= now) else { return };
+        upload.tries += 1;
+        upload.due = now + PATIENCE;
+        if upload.tries <= MOST_TRIES {
+            return self.request_item();
+        }
+        let (asker, from) = (upload.asker, upload.from);
+        self.upload = None;
+        self.mission_ack(MavMissionResult::MAV_MISSION_OPERATION_CANCELLED, MISSION, asker, from);
+    }
+
+    /// Goes on with this item; 0, home, means the first. Whether there is such an item.
+    fn set_current(&mut self, seq: u16, now: Duration) -> bool {
+        let exists = self.plan.go_to(seq.max(1));
+        if exists {
+            self.tell_current(now);
+        }
+        exists
+    }
+
+    /// MAV_CMD_DO_SET_MISSION_CURRENT: an item, or -1 for the one that is current; whether jumps count
+    /// anew.
+    pub(super) fn current_command(&mut self, [seq, reset]: [f32; 2], now: Duration) -> MavResult {
+        let seq = if seq == -1.0 { f32::from(self.plan.current()) } else { seq };
+        if reset == 1.0 {
+            self.plan.reset();
+        }
+        if seq.fract() == 0.0
+            && (0.0..=f32::from(u16::MAX)).contains(&seq)
+            && self.set_current(seq as u16, now)
+        {
+            MavResult::MAV_RESULT_ACCEPTED
+        } else {
+            MavResult::MAV_RESULT_DENIED
+        }
+    }
+
+    fn mission_ack(
+        &mut self,
+        result: MavMissionResult,
+        mission_type: MavMissionType,
+        asker: (u8, u8),
+        to: PeerId,
+    ) {
+        let (target_system, target_component) = asker;
+        let opaque_id = if mission_type == MISSION { self.plan.id() } else { 0 };
+        let ack = dialect::MISSION_ACK_DATA {
+            target_system,
+            target_component,
+            mavtype: result,
+            mission_type,
+            opaque_id,
+        };
+        self.reply(to, &ack);
+    }
+
+    /// MISSION_CURRENT to all.
+    pub(super) fn tell_current(&mut self, now: Duration) {
+        let current = self.plan.status(self.conduct.mode == Mode::Auto);
+        self.tell_all(&current);
+        tracing::debug!(seq = current.seq, ?now, "mission");
+    }
+
+    /// Whether there is anything to fly.
+    pub(super) fn has_mission(&self) -> bool {
+        self.plan.items().len() > 1
     }
 }

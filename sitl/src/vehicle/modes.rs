@@ -1,84 +1,409 @@
-//! Mode, arming, takeoff and landing of a vehicle that is in the air from the start, armed and in
-//! GUIDED, and that knows no height but its own. What it cannot do it refuses, and says why.
+//! Mode, arming, takeoff and landing, with ArduCopter's numbers and answers. It begins armed, in the
+//! air and in GUIDED. What it cannot do it refuses, and says why.
+//!
+//! | mode | flies |
+//! |---|---|
+//! | GUIDED (4) | the station's setpoints; after another mode it brakes until the first; DO_REPOSITION's point |
+//! | AUTO (3) | the mission ([`super::missions`]) |
+//! | LOITER (5), BRAKE (17) | brakes and stays |
+//! | RTL (6) | back to the start, then lands |
+//! | LAND (9) | brakes, descends, disarms on the ground |
 //!
 //! | asked | answered |
 //! |---|---|
-//! | COMPONENT_ARM_DISARM 1 | ACCEPTED: it is armed |
-//! | COMPONENT_ARM_DISARM 0 | FAILED: in the air |
-//! | the same, forced by 21196 | FAILED: a planar model cannot fall, and would hover on without motors |
+//! | COMPONENT_ARM_DISARM 1 | ACCEPTED; FAILED in a mode that cannot take off, and after a crash |
+//! | COMPONENT_ARM_DISARM 0 | ACCEPTED on the ground, FAILED in the air |
+//! | the same, forced by 21196 | ACCEPTED: in the air the motors stop, and it falls |
 //! | COMPONENT_ARM_DISARM of anything else | DENIED |
-//! | DO_SET_MODE with a custom mode, SET_MODE: GUIDED (4) | ACCEPTED: it is in GUIDED |
+//! | DO_SET_MODE with a custom mode, SET_MODE: a mode above | ACCEPTED; AUTO without a mission FAILED |
 //! | another mode, or no custom mode | DENIED |
-//! | NAV_TAKEOFF to the height it flies at, within a metre | ACCEPTED: it is there |
-//! | NAV_TAKEOFF to another height | DENIED |
-//! | NAV_LAND | UNSUPPORTED |
+//! | NAV_TAKEOFF to the height of its flights, within a metre | ACCEPTED: it climbs, or is there; disarmed FAILED |
+//! | NAV_TAKEOFF to another height | DENIED: it is planar |
+//! | NAV_LAND, NAV_RETURN_TO_LAUNCH | ACCEPTED, as LAND and RTL |
+//! | MISSION_START | ACCEPTED, as AUTO from the current item |
+//! | DO_PAUSE_CONTINUE 0, 1 | ACCEPTED: LOITER; the mission goes on, or GUIDED; else DENIED |
+//! | DO_REPOSITION to a point of the square, in GUIDED or with the flag to change mode | ACCEPTED, else DENIED |
+//! | DO_CHANGE_SPEED to a ground speed up to the limit | ACCEPTED, else DENIED |
+//!
+//! In lockstep a setpoint is also the clock: it lets its interval pass in every mode, and is flown in
+//! GUIDED alone.
 
 use std::time::Duration;
 
-use super::Vehicle;
-use super::messages::MODE_GUIDED;
-use crate::link::dialect::{MavModeFlag, MavResult, MavSeverity};
-use crate::link::wire::Ask;
+use nalgebra::Vector2;
 
+use super::height::Lift;
+use super::{Vehicle, geodesy, guidance};
+use crate::link::dialect::{MavModeFlag, MavResult, MavSeverity, MavState};
+use crate::link::wire::Ask;
+use crate::sim::Control;
+
+pub(super) const CMD_NAV_RETURN: u16 = 20;
 pub(super) const CMD_NAV_LAND: u16 = 21;
 pub(super) const CMD_NAV_TAKEOFF: u16 = 22;
 pub(super) const CMD_DO_SET_MODE: u16 = 176;
+pub(super) const CMD_DO_CHANGE_SPEED: u16 = 178;
+pub(super) const CMD_DO_REPOSITION: u16 = 192;
+pub(super) const CMD_DO_PAUSE_CONTINUE: u16 = 193;
+pub(super) const CMD_MISSION_START: u16 = 300;
 pub(super) const CMD_ARM_DISARM: u16 = 400;
+/// All commands of this module.
+pub(super) const COMMANDS: [u16; 9] = [
+    CMD_NAV_RETURN,
+    CMD_NAV_LAND,
+    CMD_NAV_TAKEOFF,
+    CMD_DO_SET_MODE,
+    CMD_DO_CHANGE_SPEED,
+    CMD_DO_REPOSITION,
+    CMD_DO_PAUSE_CONTINUE,
+    CMD_MISSION_START,
+    CMD_ARM_DISARM,
+];
+
+const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;
+const DENIED: MavResult = MavResult::MAV_RESULT_DENIED;
+const FAILED: MavResult = MavResult::MAV_RESULT_FAILED;
 
 /// How far from its own height a takeoff may aim, m.
 const HEIGHT_TOLERANCE_M: f32 = 1.0;
+/// The magic number of a forced arming or disarming.
 const FORCED: f32 = 21_196.0;
+/// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
+const CHANGE_MODE: u32 = 1;
+/// SPEED_TYPE_GROUNDSPEED; SPEED_TYPE_AIRSPEED is the same in still air.
+const SPEEDS: [f32; 2] = [0.0, 1.0];
+
+/// ArduCopter's flight modes, those that a planar vehicle can fly.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub(super) enum Mode {
+    Auto = 3,
+    Guided = 4,
+    Loiter = 5,
+    Return = 6,
+    Land = 9,
+    Brake = 17,
+}
+
+impl Mode {
+    const ALL: [Self; 6] = [Self::Auto, Self::Guided, Self::Loiter, Self::Return, Self::Land, Self::Brake];
+
+    /// ArduCopter's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "AUTO",
+            Self::Guided => "GUIDED",
+            Self::Loiter => "LOITER",
+            Self::Return => "RTL",
+            Self::Land => "LAND",
+            Self::Brake => "BRAKE",
+        }
+    }
+
+    /// Whether the motors may be started in it.
+    fn takes_off(self) -> bool {
+        matches!(self, Self::Auto | Self::Guided | Self::Loiter)
+    }
+}
+
+/// What the vehicle is about, beside its place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Conduct {
+    pub mode: Mode,
+    pub armed: bool,
+    /// It fell, and its motors will not start again.
+    pub crashed: bool,
+    /// On its way up from the ground.
+    pub climbing: bool,
+    /// RTL has arrived and descends.
+    pub landing: bool,
+    /// GUIDED has been entered in flight, and no setpoint has got through since.
+    pub waiting: bool,
+    /// Where DO_REPOSITION sent it, paper x/y.
+    pub destination: Option<Vector2<f64>>,
+}
+
+impl Conduct {
+    /// In the air, armed, in GUIDED.
+    pub fn flying() -> Self {
+        Self {
+            mode: Mode::Guided,
+            armed: true,
+            crashed: false,
+            climbing: false,
+            landing: false,
+            waiting: false,
+            destination: None,
+        }
+    }
+
+    /// `base_mode` of the heartbeat, as ArduCopter sets it.
+    pub fn base_mode(&self) -> MavModeFlag {
+        let mut flags = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_STABILIZE_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED;
+        if self.mode != Mode::Land {
+            flags |= MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED;
+        }
+        if self.armed {
+            flags |= MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED;
+        }
+        flags
+    }
+}
 
 impl Vehicle {
     /// What becomes of a command of this module.
     pub(super) fn mode_command(&mut self, ask: &Ask, now: Duration) -> MavResult {
-        let [first, second] = ask.params;
+        let [first, second, ..] = ask.params;
         match ask.command {
-            CMD_ARM_DISARM => self.arm(first, second, now),
+            CMD_ARM_DISARM => self.arm(first, second == FORCED, now),
             // A float that is no number becomes 0, which is no custom mode.
             CMD_DO_SET_MODE => self.set_mode(first as u8, second, now),
             CMD_NAV_TAKEOFF => self.take_off(ask.height, now),
-            _ => {
-                self.tally.unsupported += 1;
-                self.refused("landing", "landing refused: this vehicle is planar", now);
-                MavResult::MAV_RESULT_UNSUPPORTED
+            CMD_NAV_LAND => self.enter(Mode::Land, now),
+            CMD_NAV_RETURN => self.enter(Mode::Return, now),
+            CMD_MISSION_START => self.enter(Mode::Auto, now),
+            CMD_DO_PAUSE_CONTINUE if first == 0.0 => self.enter(Mode::Loiter, now),
+            CMD_DO_PAUSE_CONTINUE if first == 1.0 => {
+                let mode = if self.has_mission() { Mode::Auto } else { Mode::Guided };
+                self.enter(mode, now)
             }
+            CMD_DO_REPOSITION => self.reposition(ask, now),
+            CMD_DO_CHANGE_SPEED => self.change_speed(first, second, now),
+            _ => DENIED,
         }
     }
 
-    fn arm(&mut self, arm: f32, force: f32, now: Duration) -> MavResult {
-        if arm == 1.0 {
-            return MavResult::MAV_RESULT_ACCEPTED;
+    fn arm(&mut self, arm: f32, forced: bool, now: Duration) -> MavResult {
+        let (conduct, in_air) = (self.conduct, !self.height.on_ground());
+        match arm {
+            1.0 if conduct.armed => ACCEPTED,
+            1.0 if conduct.crashed || in_air => self.refused("arming", "arming refused: crashed", now),
+            1.0 if !conduct.mode.takes_off() => {
+                let text = format!("arming refused: mode {} does not take off", conduct.mode.name());
+                self.refused("arming", &text, now)
+            }
+            1.0 => {
+                self.conduct.armed = true;
+                self.notice("arming", "armed", now);
+                ACCEPTED
+            }
+            0.0 if in_air && !forced => self.refused("disarming", "disarming refused: in the air", now),
+            0.0 => {
+                if conduct.armed && in_air {
+                    self.say(
+                        "fall",
+                        MavSeverity::MAV_SEVERITY_EMERGENCY,
+                        "motors off in the air: falling",
+                        now,
+                    );
+                    self.leave_station();
+                    self.begun = true;
+                } else if conduct.armed {
+                    self.notice("disarming", "disarmed", now);
+                }
+                self.conduct.armed = false;
+                self.conduct.climbing = false;
+                ACCEPTED
+            }
+            _ => DENIED,
         }
-        if arm != 0.0 {
-            return MavResult::MAV_RESULT_DENIED;
-        }
-        let why = if force == FORCED { "a planar model cannot fall" } else { "in the air" };
-        self.refused("disarming", &format!("disarming refused: {why}"), now);
-        MavResult::MAV_RESULT_FAILED
     }
 
     /// `base` holds MAV_MODE_FLAG; the custom mode counts if its flag is set.
     pub(super) fn set_mode(&mut self, base: u8, custom: f32, now: Duration) -> MavResult {
         let is_custom = base & MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.bits() != 0;
-        if is_custom && custom == MODE_GUIDED as f32 {
-            return MavResult::MAV_RESULT_ACCEPTED;
+        let mode = Mode::ALL.into_iter().find(|&mode| is_custom && custom == mode as u32 as f32);
+        let Some(mode) = mode else {
+            let asked = if is_custom { format!("mode {custom}") } else { format!("base mode {base}") };
+            self.refused("mode", &format!("{asked} refused: only 3, 4, 5, 6, 9, 17"), now);
+            return DENIED;
+        };
+        self.enter(mode, now)
+    }
+
+    /// Changes to a mode; the same one again changes nothing.
+    pub(super) fn enter(&mut self, mode: Mode, now: Duration) -> MavResult {
+        if mode == Mode::Auto && !self.has_mission() {
+            return self.refused("mode", "AUTO refused: there is no mission", now);
         }
-        let asked = if is_custom { format!("mode {custom}") } else { format!("base mode {base}") };
-        self.refused("mode", &format!("{asked} refused: only GUIDED (4)"), now);
-        MavResult::MAV_RESULT_DENIED
+        if mode == self.conduct.mode {
+            return ACCEPTED;
+        }
+        self.leave_station();
+        self.conduct = Conduct {
+            mode,
+            landing: false,
+            waiting: mode == Mode::Guided,
+            destination: None,
+            ..self.conduct
+        };
+        // What it flies by itself takes time without a setpoint.
+        self.begun |= mode != Mode::Guided;
+        self.watch.settle();
+        self.notice("mode change", &format!("mode {}", mode.name()), now);
+        ACCEPTED
+    }
+
+    /// The held command is over: it must not be flown again on coming back.
+    pub(super) fn leave_station(&mut self) {
+        self.sim.release();
     }
 
     fn take_off(&mut self, height: f32, now: Duration) -> MavResult {
         let own = self.sim.scenario().scale.altitude_m as f32;
-        if (height - own).abs() <= HEIGHT_TOLERANCE_M {
-            return MavResult::MAV_RESULT_ACCEPTED;
+        if (height - own).is_nan() || (height - own).abs() > HEIGHT_TOLERANCE_M {
+            self.refused("takeoff", &format!("takeoff refused: flies at {own} m, always"), now);
+            return DENIED;
         }
-        self.refused("takeoff", &format!("takeoff refused: flies at {own} m, always"), now);
-        MavResult::MAV_RESULT_DENIED
+        if !self.conduct.armed {
+            return self.refused("takeoff", "takeoff refused: not armed", now);
+        }
+        if self.height.on_ground() {
+            self.climb();
+        }
+        ACCEPTED
     }
 
-    fn refused(&mut self, kind: &'static str, text: &str, now: Duration) {
+    /// Up from the ground, and then wait there.
+    pub(super) fn climb(&mut self) {
+        self.leave_station();
+        self.conduct.climbing = true;
+        self.conduct.waiting = true;
+        self.begun = true;
+    }
+
+    fn reposition(&mut self, ask: &Ask, now: Duration) -> MavResult {
+        let changes = ask.params[1] as u32 & CHANGE_MODE != 0;
+        let place = ask.place.and_then(|place| self.inside(geodesy::north_east(place)));
+        let Some(place) = place else {
+            self.refused("reposition", "reposition refused: not in the square", now);
+            return DENIED;
+        };
+        if self.conduct.mode != Mode::Guided && !changes {
+            self.refused("reposition", "reposition refused: not in GUIDED", now);
+            return DENIED;
+        }
+        self.enter(Mode::Guided, now);
+        self.leave_station();
+        self.conduct.destination = Some(place);
+        self.conduct.waiting = false;
+        self.begun = true;
+        ACCEPTED
+    }
+
+    fn change_speed(&mut self, kind: f32, mps: f32, now: Duration) -> MavResult {
+        let scenario = self.sim.scenario();
+        let limit = (scenario.dynamics.v_max * scenario.scale.mps_per_speed()) as f32;
+        if SPEEDS.contains(&kind) && mps > 0.0 && mps <= limit {
+            self.settings.autopilot.speed_mps = mps.into();
+            return ACCEPTED;
+        }
+        self.refused("speed", &format!("speed refused: above 0, up to {limit} m/s"), now);
+        DENIED
+    }
+
+    /// A point of the local frame, north and east in metres, as a point of the paper's square.
+    pub(super) fn inside(&self, ne: [f32; 2]) -> Option<Vector2<f64>> {
+        let r = self.sim.scenario().scale.paper_from_ned(ne);
+        // Degrees on the wire are worth a centimetre.
+        let slack = 0.05 / self.sim.scenario().scale.metres_per_unit;
+        let inside = |x: f64| (-slack..=1.0 + slack).contains(&x);
+        (inside(r.x) && inside(r.y)).then(|| r.map(|x| x.clamp(0.0, 1.0)))
+    }
+
+    /// Who flies the interval that begins now, and how.
+    pub(super) fn control(&mut self, now: Duration) -> Control {
+        let (state, dynamics) = (self.sim.world().uav, self.sim.scenario().dynamics.clone());
+        let brake = Control::Onboard(guidance::brake(state, &dynamics));
+        if self.height.on_ground() && !self.conduct.climbing {
+            let starts = self.conduct.mode == Mode::Auto && self.conduct.armed && !self.plan.is_over();
+            if !starts {
+                return Control::Parked;
+            }
+            self.climb();
+        }
+        if !self.conduct.armed {
+            return Control::Onboard(Vector2::zeros());
+        }
+        if self.conduct.climbing {
+            return brake;
+        }
+        let target = match self.conduct.mode {
+            Mode::Guided if self.conduct.destination.is_some() => self.conduct.destination,
+            Mode::Guided if self.conduct.waiting || self.watch.brakes() => None,
+            Mode::Guided => return Control::Station,
+            Mode::Return => Some(self.sim.scenario().start).filter(|_| !self.conduct.landing),
+            Mode::Auto => self.mission_target(now),
+            Mode::Loiter | Mode::Land | Mode::Brake => None,
+        };
+        target.map_or(brake, |target| {
+            let speed = self.settings.autopilot.speed_mps / self.sim.scenario().scale.mps_per_speed();
+            Control::Onboard(guidance::approach(state, target, speed, &dynamics))
+        })
+    }
+
+    /// Height, arrival and touch-down after an interval.
+    pub(super) fn rise_and_land(&mut self, now: Duration) {
+        let scenario = self.sim.scenario();
+        let (cruise, seconds) = (scenario.scale.altitude_m, scenario.scale.interval_s);
+        let climb = self.settings.autopilot.climb_mps;
+        if self.conduct.mode == Mode::Return && self.is_at(scenario.start) {
+            self.conduct.landing = true;
+        }
+        let lands = self.conduct.mode == Mode::Land || self.conduct.landing;
+        let lift = match self.conduct {
+            Conduct { armed: false, .. } => Lift::None,
+            Conduct { climbing: true, .. } => Lift::Towards(cruise, climb),
+            _ if lands => Lift::Towards(0.0, climb),
+            _ => Lift::Hover,
+        };
+        let touched = self.height.step(lift, seconds);
+        if self.conduct.climbing && self.height.altitude_m >= cruise {
+            self.conduct.climbing = false;
+        }
+        if let Some(speed) = touched {
+            self.touch_down(speed, now);
+        }
+    }
+
+    fn touch_down(&mut self, speed: f64, now: Duration) {
+        if self.conduct.armed {
+            self.notice("landing", "landed and disarmed", now);
+        } else {
+            self.conduct.crashed = true;
+            let text = format!("crashed at {speed:.0} m/s");
+            self.say("landing", MavSeverity::MAV_SEVERITY_EMERGENCY, &text, now);
+        }
+        self.conduct.armed = false;
+        self.conduct.landing = false;
+    }
+
+    /// Whether the UAV is within the acceptance radius of a point.
+    pub(super) fn is_at(&self, place: Vector2<f64>) -> bool {
+        let metres = self.sim.scenario().scale.metres_per_unit;
+        (self.sim.world().uav.r - place).norm() * metres <= self.settings.autopilot.acceptance_m
+    }
+
+    /// MAV_STATE of the heartbeat.
+    pub(super) fn system_status(&self) -> MavState {
+        match self.conduct {
+            Conduct { armed: false, crashed: true, .. } => MavState::MAV_STATE_EMERGENCY,
+            Conduct { armed: false, .. } if !self.height.on_ground() => MavState::MAV_STATE_EMERGENCY,
+            Conduct { armed: false, .. } => MavState::MAV_STATE_STANDBY,
+            _ if self.watch.alarmed() => MavState::MAV_STATE_CRITICAL,
+            _ => MavState::MAV_STATE_ACTIVE,
+        }
+    }
+
+    pub(super) fn notice(&mut self, kind: &'static str, text: &str, now: Duration) {
+        self.say(kind, MavSeverity::MAV_SEVERITY_NOTICE, text, now);
+    }
+
+    /// Says why not; gives the result that fits most refusals.
+    pub(super) fn refused(&mut self, kind: &'static str, text: &str, now: Duration) -> MavResult {
         self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, text, now);
+        FAILED
     }
 }

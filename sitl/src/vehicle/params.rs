@@ -19,7 +19,6 @@
 //! Unknown names and indices are met with silence, as ArduPilot does. A request to component 0 is
 //! answered by both.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use mavlink::MessageData;
@@ -28,7 +27,7 @@ use super::Vehicle;
 use crate::link::dialect::{self, MavParamType};
 use crate::link::encoder::DATAGRAM;
 use crate::link::wire::Target;
-use crate::link::{AUTOPILOT, RADIO};
+use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::msg::TxPower;
 use crate::scenario::{Rule, Scenario};
 
@@ -121,7 +120,7 @@ impl Vehicle {
     }
 
     /// PARAM_REQUEST_READ: by index, or by name if the index is -1.
-    pub(super) fn param_read(&mut self, target: Target, index: i16, name: &str, from: SocketAddr) {
+    pub(super) fn param_read(&mut self, target: Target, index: i16, name: &str, from: PeerId) {
         for component in self.meant(target) {
             let index = if index == -1 { position(component, name) } else { usize::try_from(index).ok() };
             let known = index.filter(|&index| index < table(component).len());
@@ -130,7 +129,7 @@ impl Vehicle {
     }
 
     /// PARAM_REQUEST_LIST.
-    pub(super) fn param_list(&mut self, target: Target, from: SocketAddr) {
+    pub(super) fn param_list(&mut self, target: Target, from: PeerId) {
         for component in self.meant(target) {
             self.tell_params(component, 0..table(component).len(), from);
         }
@@ -141,7 +140,7 @@ impl Vehicle {
         [AUTOPILOT, RADIO].into_iter().filter(move |&component| target.is(system, component))
     }
 
-    fn tell_params(&mut self, component: u8, indices: impl IntoIterator<Item = usize>, to: SocketAddr) {
+    fn tell_params(&mut self, component: u8, indices: impl IntoIterator<Item = usize>, to: PeerId) {
         let values: Vec<_> = indices.into_iter().map(|index| self.param_value(component, index)).collect();
         let Some(peer) = self.peers.get_mut(&to) else { return };
         for some in values.chunks(DATAGRAM / (dialect::PARAM_VALUE_DATA::ENCODED_LEN + 12)) {

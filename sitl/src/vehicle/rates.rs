@@ -14,11 +14,11 @@
 //! | REQUEST_DATA_STREAM | the group's streams, at most 50 Hz; percepts stay |
 
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
 use std::time::Duration;
 
 use super::Vehicle;
 use super::messages::{self, Goes, ROWS, Row};
+use crate::link::PeerId;
 use crate::link::dialect::{self, MavResult};
 
 /// The shortest interval of a stream: 50 Hz.
@@ -74,7 +74,7 @@ fn interval(hz: f64) -> Option<Duration> {
 
 impl Vehicle {
     /// Gives a peer the streams that it need not ask for.
-    pub(super) fn set_default_rates(&mut self, address: SocketAddr, now: Duration) {
+    pub(super) fn set_default_rates(&mut self, address: PeerId, now: Duration) {
         for row in ROWS {
             let every = self.default_interval(row);
             if let Some(peer) = self.peers.get_mut(&address) {
@@ -126,7 +126,7 @@ impl Vehicle {
         &mut self,
         [number, us]: [f32; 2],
         component: u8,
-        from: SocketAddr,
+        from: PeerId,
         now: Duration,
     ) -> MavResult {
         let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
@@ -152,7 +152,7 @@ impl Vehicle {
     }
 
     /// GET_MESSAGE_INTERVAL: tells the interval; gives the result to acknowledge.
-    pub(super) fn tell_interval(&mut self, number: f32, component: u8, from: SocketAddr) -> MavResult {
+    pub(super) fn tell_interval(&mut self, number: f32, component: u8, from: PeerId) -> MavResult {
         let row = row(number, component);
         let message_id = row.map_or(number as u16, |row| row.id as u16);
         let interval_us = row.map_or(0, |row| self.interval_us(row, from));
@@ -164,7 +164,7 @@ impl Vehicle {
         if row.is_some() { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED }
     }
 
-    fn interval_us(&self, row: &Row, peer: SocketAddr) -> i32 {
+    fn interval_us(&self, row: &Row, peer: PeerId) -> i32 {
         let stream = self.peers.get(&peer).and_then(|peer| peer.rates.every(row.id));
         match (row.goes, stream) {
             (Goes::Heartbeat, _) => HEARTBEAT_US,
@@ -180,7 +180,7 @@ impl Vehicle {
     }
 
     /// REQUEST_DATA_STREAM: so many messages a second of each stream of a group; 0 stops them.
-    pub(super) fn set_group(&mut self, group: u8, hz: f64, from: SocketAddr, now: Duration) {
+    pub(super) fn set_group(&mut self, group: u8, hz: f64, from: PeerId, now: Duration) {
         let Some(peer) = self.peers.get_mut(&from) else { return };
         for row in ROWS {
             if let Goes::Stream(_, member_of) = row.goes

@@ -1,13 +1,16 @@
 //! What the vehicle sends unasked: heartbeats, the percept of each tick, streams, texts.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
+use mavlink::MessageData;
+
 use super::messages::{self, Row, State};
-use super::{TEXT_PAUSE, Vehicle};
-use crate::link::AUTOPILOT;
+use super::missions::Upload;
+use super::modes::Mode;
+use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
+use crate::link::{AUTOPILOT, PeerId};
 use crate::link::{image, wire};
 
 /// No row of the table is longer, bytes.
@@ -46,11 +49,13 @@ impl Vehicle {
     /// When [`Vehicle::stream`] has something to send next, on the clock of `now`.
     #[must_use]
     pub fn next_stream(&self) -> Option<Duration> {
-        self.peers.values().filter_map(|peer| peer.rates.due()).min()
+        let streams = self.peers.values().filter_map(|peer| peer.rates.due());
+        streams.chain(self.upload.as_ref().map(Upload::due)).min()
     }
 
-    /// Sends every stream that is due.
+    /// Sends every stream that is due, and what an unfinished upload waits for.
     pub fn stream(&mut self, now: Duration) {
+        self.upload_timer(now);
         let state = self.state(now);
         for (&address, peer) in &mut self.peers {
             let mut datagram = Vec::new();
@@ -72,8 +77,13 @@ impl Vehicle {
         let scenario = self.sim.scenario();
         let flown = self.sim.flown() * scenario.dynamics.a_max;
         State {
+            conduct: self.conduct,
+            height: self.height,
+            system_status: self.system_status(),
+            mission: self.plan.status(self.conduct.mode == Mode::Auto),
+            launch: self.launch(),
+            start: scenario.scale.ned_from_paper(scenario.start),
             accel: scenario.scale.ned_from_paper_acceleration(flown),
-            altitude_m: scenario.scale.altitude_m,
             battery: self.battery,
             fates: self.sim.fates(),
             report: self.sim.telemetry(),
@@ -84,7 +94,7 @@ impl Vehicle {
     }
 
     /// Sends one message to one peer.
-    pub(super) fn send_message(&mut self, row: &Row, to: SocketAddr, now: Duration) {
+    pub(super) fn send_message(&mut self, row: &Row, to: PeerId, now: Duration) {
         let state = self.state(now);
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
@@ -93,14 +103,14 @@ impl Vehicle {
     }
 
     /// The first words to a new peer. Routers forward to a component only once they heard it.
-    pub(super) fn greet(&mut self, address: SocketAddr) {
+    pub(super) fn greet(&mut self, address: PeerId) {
         self.heartbeat(address);
         let report = self.telemetry_datagram(address);
         self.outbox.push_back((address, report));
     }
 
     /// Sends this tick's picture to one peer, if it has asked for pictures.
-    pub(super) fn send_image(&mut self, address: SocketAddr) {
+    pub(super) fn send_image(&mut self, address: PeerId) {
         let datagrams = self.image_datagrams(address);
         self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
     }
@@ -111,36 +121,48 @@ impl Vehicle {
             return;
         }
         self.said.insert(kind, now);
-        let message = dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+        self.tell_all(&dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() });
+    }
+
+    /// Sends a message of the autopilot to all peers.
+    pub(super) fn tell_all<M: MessageData>(&mut self, message: &M) {
         for (&address, peer) in &mut self.peers {
             let mut datagram = Vec::new();
-            peer.autopilot.push(&mut datagram, &message);
+            peer.autopilot.push(&mut datagram, message);
             self.outbox.push_back((address, datagram));
         }
     }
 
-    fn addresses(&self) -> Vec<SocketAddr> {
+    /// Where it began and returns to: latitude and longitude, 1e-7 degrees.
+    pub(super) fn launch(&self) -> [i32; 2] {
+        let scenario = self.sim.scenario();
+        geodesy::latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
+    }
+
+    fn addresses(&self) -> Vec<PeerId> {
         self.peers.keys().copied().collect()
     }
 
-    fn heartbeat(&mut self, address: SocketAddr) {
+    fn heartbeat(&mut self, address: PeerId) {
+        let told = messages::autopilot_heartbeat(&self.conduct, self.system_status());
         let Some(peer) = self.peers.get_mut(&address) else { return };
         let mut datagram = Vec::new();
-        peer.autopilot.push(&mut datagram, &messages::autopilot_heartbeat());
+        peer.autopilot.push(&mut datagram, &told);
         peer.radio.push(&mut datagram, &messages::radio_heartbeat());
         self.outbox.push_back((address, datagram));
     }
 
-    fn telemetry_datagram(&mut self, address: SocketAddr) -> Vec<u8> {
+    fn telemetry_datagram(&mut self, address: PeerId) -> Vec<u8> {
         let mut datagram = Vec::new();
         if let Some(peer) = self.peers.get_mut(&address) {
-            let report = self.sim.telemetry();
-            wire::push_telemetry(&report, &self.clock, &mut peer.autopilot, &mut peer.radio, &mut datagram);
+            let (report, vertical) = (self.sim.telemetry(), self.height.ned());
+            let Peer { autopilot, radio, .. } = peer;
+            wire::push_telemetry(&report, &self.clock, vertical, autopilot, radio, &mut datagram);
         }
         datagram
     }
 
-    fn image_datagrams(&mut self, address: SocketAddr) -> Vec<Vec<u8>> {
+    fn image_datagrams(&mut self, address: PeerId) -> Vec<Vec<u8>> {
         let Some(peer) = self.peers.get_mut(&address).filter(|peer| peer.images) else { return Vec::new() };
         let sim = &self.sim;
         let png = self.png.get_or_insert_with(|| {

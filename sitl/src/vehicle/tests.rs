@@ -7,6 +7,8 @@ mod params;
 mod rates;
 mod telemetry;
 
+use std::net::SocketAddr;
+
 use mavlink::MessageData;
 
 use super::*;
@@ -56,7 +58,7 @@ impl Bench {
     fn received(&mut self) -> Vec<Packet> {
         let mut packets = Vec::new();
         while let Some((to, bytes)) = self.vehicle.poll() {
-            if to == self.address {
+            if to == self.address.into() {
                 packets.extend(self.decoder.datagram(&bytes));
             }
         }
@@ -97,6 +99,14 @@ fn acks(packets: &[Packet]) -> Vec<(u8, dialect::COMMAND_ACK_DATA)> {
         _ => None,
     });
     typed.collect()
+}
+
+fn texts(packets: &[Packet]) -> Vec<String> {
+    let texts = packets.iter().filter_map(|packet| match packet.message() {
+        Some(MavMessage::STATUSTEXT(text)) => Some(text.text.to_str().unwrap().to_owned()),
+        _ => None,
+    });
+    texts.collect()
 }
 
 fn ids(packets: &[Packet]) -> Vec<(u8, u32)> {
@@ -212,19 +222,12 @@ fn a_setpoint_without_the_vehicles_clock_means_now() {
 fn a_bad_setpoint_is_refused_in_words_and_the_next_good_one_obeyed() {
     let mut bench = Bench::new();
     bench.hello();
-    let texts = |packets: Vec<Packet>| -> Vec<String> {
-        let texts = packets.iter().filter_map(|p| match p.message() {
-            Some(MavMessage::STATUSTEXT(text)) => Some(text.text.to_str().unwrap().to_owned()),
-            _ => None,
-        });
-        texts.collect()
-    };
     let reply = bench.send(&setpoint(0, f32::NAN));
-    assert_eq!(texts(reply), ["setpoint refused: not finite"]);
+    assert_eq!(texts(&reply), ["setpoint refused: not finite"]);
     assert!(!bench.vehicle.ready());
-    assert!(texts(bench.send(&setpoint(0, f32::NAN))).is_empty(), "once a second is enough");
+    assert!(texts(&bench.send(&setpoint(0, f32::NAN))).is_empty(), "once a second is enough");
     bench.now += Duration::from_secs(2);
-    assert_eq!(texts(bench.send(&setpoint(0, f32::INFINITY))).len(), 1);
+    assert_eq!(texts(&bench.send(&setpoint(0, f32::INFINITY))).len(), 1);
     assert_eq!(bench.vehicle.tally().refused.get(&Refusal::NotFinite), Some(&3));
     bench.send(&setpoint(0, 1.0));
     assert!(bench.vehicle.ready());
@@ -349,7 +352,7 @@ fn a_crowd_of_peers_stays_bounded_and_a_named_one_stays() {
         bench.vehicle.datagram(&datagram, from, Duration::from_millis(k.into()));
     }
     assert_eq!(bench.vehicle.peers.len(), MAX_PEERS);
-    assert!(bench.vehicle.peers.contains_key(&named));
+    assert!(bench.vehicle.peers.contains_key(&named.into()));
     assert_eq!(bench.vehicle.tally().packets.frames, 100);
 }
 

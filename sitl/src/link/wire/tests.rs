@@ -10,7 +10,7 @@ fn clock() -> Clock {
 fn packets(report: &Telemetry) -> Vec<Packet> {
     let mut datagram = Vec::new();
     let (mut autopilot, mut radio) = (Encoder::new(7, AUTOPILOT), Encoder::new(7, RADIO));
-    push_telemetry(report, &clock(), &mut autopilot, &mut radio, &mut datagram);
+    push_telemetry(report, &clock(), [-100.0, 0.0], &mut autopilot, &mut radio, &mut datagram);
     Decoder::default().datagram(&datagram)
 }
 

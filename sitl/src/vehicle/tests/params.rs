@@ -96,7 +96,7 @@ fn a_rate_is_the_default_of_all_peers_and_of_those_to_come() {
     bench.vehicle.start_streams(Duration::from_millis(400), bench.now);
     bench.hello();
     assert_eq!(set(&mut bench, "RATE_ATTITUDE", 20.0)[0].2, 20.0);
-    let every = |bench: &Bench| bench.vehicle.peers[&bench.address].rates.every(30);
+    let every = |bench: &Bench| bench.vehicle.peers[&bench.address.into()].rates.every(30);
     assert_eq!(every(&bench), Some(Duration::from_millis(50)));
     bench.address.set_port(5001);
     bench.hello();

@@ -42,14 +42,16 @@ fn the_map_shows_the_local_position() {
     let Some(MavMessage::HOME_POSITION(home)) = requested(&mut bench, 242).message() else { panic!() };
     let told = bench.vehicle.sim.telemetry();
     let metres = |degrees: i32| f64::from(degrees) * 1e-7 * 6_378_137.0 * std::f64::consts::PI / 180.0;
-    let north = metres(at.lat - home.latitude);
-    let east = metres(at.lon - home.longitude) * (f64::from(home.latitude) * 1e-7).to_radians().cos();
+    let north = metres(at.lat - home.latitude) + f64::from(home.x);
+    let east = metres(at.lon - home.longitude) * (f64::from(home.latitude) * 1e-7).to_radians().cos()
+        + f64::from(home.y);
     assert!((north - f64::from(told.position[0])).abs() < 0.02, "{north}");
     assert!((east - f64::from(told.position[1])).abs() < 0.02, "{east}");
     assert_eq!((at.alt - home.altitude, at.relative_alt), (100_000, 100_000));
     assert!((f32::from(at.vx) / 100.0 - told.velocity[0]).abs() < 0.01);
     let Some(MavMessage::GPS_GLOBAL_ORIGIN(origin)) = requested(&mut bench, 49).message() else { panic!() };
-    assert_eq!((origin.latitude, origin.longitude), (home.latitude, home.longitude));
+    assert_eq!([origin.latitude, origin.longitude], geodesy::latitude_longitude([0.0; 2]));
+    assert_eq!([home.x, home.y], [250.0, 50.0], "home is the start");
 }
 
 #[test]
