@@ -57,6 +57,12 @@ impl Vehicle {
                     let result = self.set_mode(fields.u8(5), fields.u32(0) as f32, now);
                     self.ack(dialect::SET_MODE_DATA::ID as u16, result, AUTOPILOT, asker, from);
                 }
+                // To nobody in particular it is a request; addressed to somebody, an answer.
+                dialect::PING_DATA::ID if (fields.u8(12), fields.u8(13)) == (0, 0) => {
+                    let (target_system, target_component) = asker;
+                    let (time_usec, seq) = (fields.u64(0), fields.u32(8));
+                    self.reply(from, &dialect::PING_DATA { time_usec, seq, target_system, target_component });
+                }
                 dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
                     let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
                     let (target_system, target_component) = asker;

@@ -357,6 +357,17 @@ fn a_crowd_of_peers_stays_bounded_and_a_named_one_stays() {
 }
 
 #[test]
+fn a_ping_to_all_is_answered_to_the_asker_and_an_answer_is_not() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let ping = dialect::PING_DATA { time_usec: 5, seq: 77, ..Default::default() };
+    let reply = bench.send(&ping);
+    let Some(MavMessage::PING(echo)) = reply[0].message() else { panic!("an answer") };
+    assert_eq!(echo, dialect::PING_DATA { target_system: 255, target_component: 190, ..ping });
+    assert!(bench.send(&dialect::PING_DATA { target_system: 7, target_component: 1, ..ping }).is_empty());
+}
+
+#[test]
 fn timesync_is_answered_in_the_vehicles_time() {
     let mut bench = Bench::new();
     bench.hello();
