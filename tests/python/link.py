@@ -60,6 +60,7 @@ class Link:
         self.handshake = None
         self.chunks = {}
         self.last_heartbeat = 0.0
+        self.pings = 0
 
     @property
     def send(self):
@@ -130,6 +131,29 @@ class Link:
             where=lambda m: m.command == command,
             also=lambda: self.send.command_long_send(1, component, command, next(tries), *params),
         )
+
+    def request(self, kind, number):
+        """Asks for one message by its number and returns it."""
+        ask = mavlink.MAV_CMD_REQUEST_MESSAGE
+        return self.wait_for(
+            kind, also=lambda: self.send.command_long_send(1, VEHICLE, ask, 0, number, 0, 0, 0, 0, 0, 0)
+        )
+
+    def heard_before_pong(self, kind):
+        """Sends a PING and returns the messages of this kind that come before its answer, which makes
+        a silence visible: what was sent before the PING has been dealt with when it is answered."""
+        self.pings += 1
+        heard = []
+
+        def pong(message):
+            if message.get_type() == kind:
+                heard.append(message)
+            return message.get_type() == "PING" and message.seq == self.pings
+
+        self.send.ping_send(int(time.time() * 1e6), self.pings, 0, 0)
+        answer = self.wait("the answer to a PING", pong)
+        assert (answer.target_system, answer.target_component) == (250, 190), answer
+        return heard
 
     def request_pictures(self):
         """Asks for a stream of PNG pictures; all but the type and the quality is zero."""

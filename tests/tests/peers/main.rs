@@ -1,0 +1,9 @@
+//! The real MAVLink tools that people arrive with, against the real programs.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod flood;
+mod mavproxy;
+mod mavsdk;
+mod pymavlink;
+mod routers;
