@@ -50,14 +50,16 @@ async def look(system):
     )
     assert health.is_local_position_ok and health.is_home_position_ok and health.is_armable, health
     assert health.is_gyrometer_calibration_ok and health.is_accelerometer_calibration_ok, health
-    metres_north = math.radians(position.latitude_deg - home.latitude_deg) * EARTH_RADIUS_M
-    assert abs(metres_north - 250.0) < 0.1, f"{metres_north} m north of home"
+    origin = await telemetry.get_gps_global_origin()
+    metres_north = math.radians(position.latitude_deg - origin.latitude_deg) * EARTH_RADIUS_M
+    assert abs(metres_north - 250.0) < 0.1, f"{metres_north} m north of the origin"
+    assert abs(position.latitude_deg - home.latitude_deg) < 1e-6, (position, home)
     assert abs(position.relative_altitude_m - 100.0) < 0.1, position
     assert 14.0 < battery.voltage_v < 15.0 and battery.remaining_percent > 90.0, battery
     assert in_air and landed == LandedState.IN_AIR, landed
     assert abs(level.roll_deg) < 1e-3 and abs(level.pitch_deg) < 1e-3, level
     assert (await InfoAsync(system).get_identification()).legacy_uid == 1
-    print(f"healthy, {metres_north:.1f} m north of home, {battery.voltage_v:.1f} V")
+    print(f"healthy, {metres_north:.1f} m north of the origin, {battery.voltage_v:.1f} V")
 
 
 async def parameters(system):

@@ -80,7 +80,7 @@ fn mavproxy_takes_it_for_a_copter() {
     // What a map and a head-up display are drawn from.
     for (message, says) in [
         ("GLOBAL_POSITION_INT", "lat : 473999878, lon : 85462575, alt : 588000, relative_alt : 100000"),
-        ("HOME_POSITION", "latitude : 473977420, longitude : 85455940, altitude : 488000"),
+        ("HOME_POSITION", "latitude : 473999878, longitude : 85462575, altitude : 488000"),
         ("ATTITUDE", "roll : 0.0"),
         ("SYS_STATUS", "voltage_battery : 14800"),
         ("BATTERY_STATUS", "battery_remaining : 100"),

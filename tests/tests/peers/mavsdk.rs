@@ -2,10 +2,21 @@
 
 use tests::{program, python};
 
+/// Runs a script against a vehicle of its own.
+fn agrees(script: &str) {
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let said = python::script(script, &[address.to_string()]).unwrap().good().unwrap();
+    assert!(said.ends_with("ok"), "{said}");
+}
+
 /// Discovery, health, telemetry, parameters, arming, and a flight by acceleration setpoints.
 #[test]
 fn mavsdk_flies_north_in_offboard() {
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
-    let said = python::script("mavsdk_north.py", &[address.to_string()]).unwrap().good().unwrap();
-    assert!(said.ends_with("ok"), "{said}");
+    agrees("mavsdk_north.py");
+}
+
+/// A mission, up and down, flown, paused; then it returns.
+#[test]
+fn mavsdk_has_a_mission_flown() {
+    agrees("mavsdk_mission.py");
 }

@@ -27,3 +27,9 @@ fn pymavlink_reads_and_sets_parameters() {
 fn pymavlink_is_answered() {
     agrees("commands.py");
 }
+
+/// A mission goes up, comes down again, is flown to its end; what cannot be flown is refused.
+#[test]
+fn pymavlink_has_a_mission_flown() {
+    agrees("missions.py");
+}
