@@ -1,6 +1,8 @@
 //! 100,000 frames, good and bad, as fast as they go: the vehicle accounts for every one, answers, and
 //! flies on.
 
+#![expect(deprecated, reason = "PING is still what people ask with")]
+
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};

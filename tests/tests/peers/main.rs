@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod flood;
+mod manual;
 mod mavproxy;
 mod mavsdk;
 mod pymavlink;
