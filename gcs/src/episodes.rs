@@ -4,17 +4,18 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 use sitl::record::Metrics;
-use sitl::{Scenario, Sim};
+use sitl::Scenario;
 
 use crate::demo;
-use crate::lab;
+use crate::lab::{Contender, Scored};
 use crate::pilot::Controller;
 use crate::run::Brain;
+use crate::stats::Mean;
 
 /// Flags of `gcs episodes`.
 #[derive(Debug, clap::Args)]
@@ -40,27 +41,6 @@ pub struct Episodes {
     /// Print one JSON line per controller.
     #[arg(long)]
     json: bool,
-}
-
-/// A mean over episodes with its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Mean {
-    /// Mean.
-    pub mean: f64,
-    /// Normal 95 % interval of the mean.
-    pub ci: [f64; 2],
-}
-
-impl Mean {
-    /// Of these values; an interval of zero width for one value.
-    #[must_use]
-    pub fn of(values: &[f64]) -> Self {
-        let n = values.len().max(1) as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        let half = 1.96 * (variance / n).sqrt();
-        Self { mean, ci: [mean - half, mean + half] }
-    }
 }
 
 /// One controller over all seeds.
@@ -92,27 +72,6 @@ pub struct Row {
     pub below: f64,
 }
 
-/// One flight's score, and where it went.
-struct Scored {
-    metrics: Metrics,
-    at_wall: bool,
-    below: bool,
-}
-
-fn episode(brain: &Brain, controller: Controller, scenario: &Scenario, seed: u64) -> Result<Scored> {
-    let mut station = brain.station(controller, scenario)?;
-    let mut sim = Sim::new(scenario.clone(), seed);
-    lab::fly(&mut sim, &mut station, scenario.horizon);
-    let last = station.records().last().context("no interval was flown")?;
-    let obstacle = scenario.obstacle.position;
-    let abreast = station.records().iter().map(|r| r.r_next).find(|r| r.x >= obstacle.x);
-    Ok(Scored {
-        metrics: station.metrics().context("no interval was flown")?,
-        at_wall: last.r_next.iter().any(|x| x.min(1.0 - x) < 0.02),
-        below: abreast.is_some_and(|r| r.y < obstacle.y),
-    })
-}
-
 /// Runs the subcommand.
 pub fn run(args: &Episodes) -> Result<()> {
     let scenario = match &args.config {
@@ -128,10 +87,11 @@ pub fn run(args: &Episodes) -> Result<()> {
         bar.set_style(style);
     }
     for controller in &args.controllers {
+        let contender = Contender::new(&brain, *controller, &scenario)?;
         let flights: Vec<Scored> = (args.first_seed..args.first_seed + args.episodes)
             .into_par_iter()
             .map(|seed| {
-                let scored = episode(&brain, *controller, &scenario, seed);
+                let scored = contender.fly(seed);
                 bar.inc(1);
                 scored
             })
@@ -183,18 +143,4 @@ fn show(row: &Row, json: bool) -> Result<()> {
         println!("  {name:<8}{}", cell(mean));
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_interval_shrinks_with_the_root_of_the_number() {
-        let few: Vec<f64> = (0..100).map(|k| f64::from(k % 2)).collect();
-        let many: Vec<f64> = (0..10_000).map(|k| f64::from(k % 2)).collect();
-        let width = |m: Mean| m.ci[1] - m.ci[0];
-        assert!((width(Mean::of(&few)) / width(Mean::of(&many)) - 10.0).abs() < 0.1);
-        assert_eq!(Mean::of(&[3.0]), Mean { mean: 3.0, ci: [3.0, 3.0] });
-    }
 }

@@ -16,6 +16,9 @@
 //! | [`lab`] | flights in process, figures | protocols |
 //! | [`run`] | the folder that a flight leaves behind | flying |
 //! | [`episodes`] | many seeds in process | protocols |
+//! | [`sweep`] | a scenario's key against the metrics; shares, resumption, tables | protocols |
+//! | [`stats`] | means, intervals, paired bootstrap | controllers |
+//! | [`parquet`] | flat tables in Parquet | what is in them |
 //! | [`demo`] | both controllers against a `sitl` of its own | controllers' insides |
 
 pub mod belief;
@@ -23,7 +26,10 @@ pub mod demo;
 pub mod episodes;
 pub mod fly;
 pub mod lab;
+pub mod parquet;
 pub mod pilot;
 pub mod remote;
 pub mod run;
 pub mod station;
+pub mod stats;
+pub mod sweep;

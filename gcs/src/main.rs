@@ -9,6 +9,7 @@ use gcs::demo::{self, Flight};
 use gcs::fly::{self, Options};
 use gcs::pilot::Controller;
 use gcs::run::{self, Brain, Summary};
+use gcs::sweep::{self, merge};
 use gcs::{episodes, episodes::Episodes};
 use sitl::Scenario;
 use sitl::cli::Pace;
@@ -30,6 +31,10 @@ enum Command {
     Fly(Fly),
     /// Fly many seeds in process, pictures rendered and encoded, and print means with intervals.
     Episodes(Episodes),
+    /// Fly a sweep: one key of the scenario against the paper's metrics, controllers paired by seeds.
+    Sweep(sweep::Sweep),
+    /// Join the shares of a sweep.
+    Merge(merge::Merge),
     /// Run the vehicle: the same program as `sitl`.
     Sitl(sitl::cli::Args),
 }
@@ -180,6 +185,8 @@ fn run_command(command: Command) -> Result<()> {
         Command::Fly(args) => runtime.block_on(fly(args)),
         Command::Sitl(args) => runtime.block_on(sitl::cli::run(args)),
         Command::Episodes(args) => episodes::run(&args),
+        Command::Sweep(args) => sweep::run(&args),
+        Command::Merge(args) => merge::run(&args),
     }
 }
 
