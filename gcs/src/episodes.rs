@@ -8,8 +8,8 @@ use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
-use sitl::record::Metrics;
 use sitl::Scenario;
+use sitl::record::Metrics;
 
 use crate::demo;
 use crate::lab::{Contender, Scored};

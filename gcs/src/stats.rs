@@ -79,7 +79,8 @@ impl Resamples {
             .picks
             .chunks_exact(self.episodes)
             .map(|picks| {
-                let sum = picks.iter().fold([0.0; 2], |sum, i| [sum[0] + a[*i as usize], sum[1] + b[*i as usize]]);
+                let sum =
+                    picks.iter().fold([0.0; 2], |sum, i| [sum[0] + a[*i as usize], sum[1] + b[*i as usize]]);
                 ratio(sum[0], sum[1])
             })
             .collect();

@@ -191,7 +191,8 @@ fn progress_bar(length: u64, name: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         bar.set_draw_target(ProgressDrawTarget::hidden());
     }
-    let template = format!("{name} {{bar:30}} {{pos}}/{{len}} flights, {{per_sec}}, {{elapsed}}, {{eta}} left");
+    let template =
+        format!("{name} {{bar:30}} {{pos}}/{{len}} flights, {{per_sec}}, {{elapsed}}, {{eta}} left");
     if let Ok(style) = ProgressStyle::with_template(&template) {
         bar.set_style(style);
     }

@@ -12,6 +12,7 @@ import sys
 import tempfile
 
 PACKAGES = {
+    "duckdb": "1.5.6",  # reads a sweep's Parquet
     "fastcrc": "0.5.0",  # pymavlink's checksums
     "lxml": "6.1.3",  # pymavlink's
     "mavproxy": "1.8.75",

@@ -117,7 +117,8 @@ impl FromStr for Episode {
 
     fn from_str(line: &str) -> Result<Self> {
         let cells: Vec<&str> = line.split(',').collect();
-        let [x, controller, seed, d_f, e_comm, e_ctrl, p_coll_max, t_out, reached, below, at_wall] = cells[..]
+        let [x, controller, seed, d_f, e_comm, e_ctrl, p_coll_max, t_out, reached, below, at_wall] =
+            cells[..]
         else {
             bail!("{} columns instead of 11", cells.len());
         };

@@ -157,8 +157,7 @@ impl Folder {
     }
 
     fn sheet(&self) -> Result<String> {
-        let sheet =
-            Sheet { hash: self.plan.hash()?, shard: self.shard.to_string(), plan: self.plan.clone() };
+        let sheet = Sheet { hash: self.plan.hash()?, shard: self.shard.to_string(), plan: self.plan.clone() };
         Ok(toml::to_string(&sheet)?)
     }
 

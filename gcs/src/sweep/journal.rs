@@ -6,10 +6,14 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 
 use super::episode::Episode;
+
+/// How often the lock is tried, every 50 ms.
+const PATIENCE: u32 = 20;
 
 /// An open journal. Only one process may hold it.
 #[derive(Debug)]
@@ -28,11 +32,7 @@ impl Journal {
             .create(true)
             .open(path)
             .with_context(|| format!("opening {name}"))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => bail!("{name}: another process is writing it"),
-            Err(TryLockError::Error(error)) => return Err(error).with_context(|| format!("locking {name}")),
-        }
+        lock(&file, path)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(|| format!("reading {name}"))?;
         let whole = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |last| last + 1);
@@ -60,6 +60,20 @@ impl Journal {
     pub fn remove(self) -> Result<()> {
         std::fs::remove_file(&self.path).with_context(|| format!("removing {}", self.path.display()))
     }
+}
+
+/// Keeps other processes out. One that was killed just now may hold the lock for a moment longer.
+fn lock(file: &File, path: &Path) -> Result<()> {
+    for _ in 0..PATIENCE {
+        match file.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(50)),
+            Err(TryLockError::Error(error)) => {
+                return Err(error).with_context(|| format!("locking {}", path.display()));
+            }
+        }
+    }
+    bail!("{}: another process is writing it", path.display())
 }
 
 /// The episodes of a table. Errors name the file and the line.

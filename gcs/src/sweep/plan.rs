@@ -182,7 +182,9 @@ fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<
     keys.into_iter().find_map(|key| {
         let name = format!("{prefix}{key}");
         match (ours.get(key), theirs.get(key)) {
-            (Some(toml::Value::Table(a)), Some(toml::Value::Table(b))) => difference(&format!("{name}."), a, b),
+            (Some(toml::Value::Table(a)), Some(toml::Value::Table(b))) => {
+                difference(&format!("{name}."), a, b)
+            }
             (a, b) if a == b => None,
             (a, b) => {
                 let show = |v: Option<&toml::Value>| v.map_or("nothing".into(), ToString::to_string);
@@ -199,9 +201,9 @@ fn repeated<T: PartialEq + Copy>(items: &[T]) -> Option<T> {
 /// FNV-1a, 64 bit, in hexadecimal: names bytes, guards against nobody.
 #[must_use]
 pub fn fingerprint(bytes: &[u8]) -> String {
-    let hash = bytes
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3));
+    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+    });
     format!("{hash:016x}")
 }
 
@@ -248,7 +250,8 @@ impl fmt::Display for Shard {
 mod tests {
     use super::*;
 
-    const FILE: &str = "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
+    const FILE: &str =
+        "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
 
     fn plan(text: &str) -> Result<Plan> {
         SweepFile::parse(text)?.resolve(&Overrides::default(), "w".into(), "shipped".into())
@@ -290,7 +293,10 @@ mod tests {
         let mut plan = plan(FILE).unwrap();
         (plan.first_seed, plan.episodes) = (10, 8);
         let share = |text: &str| text.parse::<Shard>().unwrap().seeds(&plan).collect::<Vec<_>>();
-        assert_eq!([share("1/3"), share("2/3"), share("3/3")], [vec![10, 13, 16], vec![11, 14, 17], vec![12, 15]]);
+        assert_eq!(
+            [share("1/3"), share("2/3"), share("3/3")],
+            [vec![10, 13, 16], vec![11, 14, 17], vec![12, 15]]
+        );
         for text in ["0/3", "4/3", "1", "a/b", "1/0", "/"] {
             assert!(text.parse::<Shard>().is_err(), "{text}");
         }

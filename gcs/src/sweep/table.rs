@@ -252,7 +252,9 @@ pub fn text(plan: &Plan, rows: &[Row]) -> String {
     }
     let others = || rows.iter().filter(|r| r.controller != Controller::Crpl && r.ratio_to_crpl.is_some());
     if others().next().is_some() {
-        out.push_str("\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n");
+        out.push_str(
+            "\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n",
+        );
         head(&mut out, [22; 5], "");
     }
     for row in others() {

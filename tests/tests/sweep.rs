@@ -1,0 +1,151 @@
+//! Sweeps by the real program: whatever ends it, whoever takes a share, the bytes are the same; and
+//! tools that share no code with us read the result.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use tests::program::{self, Finished, Program, workspace};
+use tests::python;
+
+/// Flags of a small sweep, with pictures rendered and encoded like in a large one.
+const SMALL: [&str; 8] = [
+    "--config",
+    "configs/sweep_bandwidth.toml",
+    "--points",
+    "2.5,4",
+    "--episodes",
+    "7",
+    "--controllers",
+    "crpl,rcc,ucc",
+];
+
+fn gcs(flags: &[&str]) -> Finished {
+    program::run("gcs", flags).unwrap()
+}
+
+fn sweep(out: &Path, flags: &[&str]) -> Finished {
+    gcs(&[&["sweep", "--out", out.to_str().unwrap()], &SMALL[..], flags].concat())
+}
+
+/// Names and bytes of all files in a folder.
+fn bytes(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<_> = std::fs::read_dir(dir)
+        .unwrap()
+        .map(|entry| {
+            let path = entry.unwrap().path();
+            (path.file_name().unwrap().to_str().unwrap().to_owned(), std::fs::read(path).unwrap())
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+fn assert_same(got: &Path, want: &Path) {
+    let (got, want) = (bytes(got), bytes(want));
+    let names = |files: &[(String, Vec<u8>)]| files.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&want), ["episodes.csv", "episodes.parquet", "points.csv", "sweep.toml"]);
+    assert_eq!(names(&got), names(&want));
+    for ((name, got), (_, want)) in got.iter().zip(&want) {
+        assert!(got == want, "{name} differs");
+    }
+}
+
+#[test]
+fn three_shares_merged_are_one_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = dir.path().join("whole");
+    sweep(&whole, &["--threads", "2"]).good().unwrap();
+    let shares: Vec<PathBuf> = (1..=3)
+        .map(|n| {
+            let out = dir.path().join(format!("share-{n}"));
+            sweep(&out, &["--shard", &format!("{n}/3"), "--threads", "1"]).good().unwrap();
+            out
+        })
+        .collect();
+    let merged = dir.path().join("merged");
+    let [one, two, three] = [0, 1, 2].map(|n| shares[n].to_str().unwrap());
+    gcs(&["merge", three, one, two, "--out", merged.to_str().unwrap()]).good().unwrap();
+    assert_same(&merged, &whole);
+
+    let merge = |dirs: &[&str]| {
+        let out = dir.path().join("refused");
+        let finished = gcs(&[&["merge", "--out", out.to_str().unwrap()], dirs].concat());
+        assert!(!finished.status.success());
+        finished.stderr
+    };
+    assert_eq!(merge(&[one, three]), "error: missing: share 2/3");
+    assert_eq!(merge(&[one, two, three, two]), format!("error: {two} and {two} both hold share 2/3"));
+    let other = dir.path().join("other");
+    sweep(&other, &["--shard", "2/3", "--first-seed", "5"]).good().unwrap();
+    let other = other.to_str().unwrap();
+    assert_eq!(
+        merge(&[one, other, three]),
+        format!("error: {one} and {other} are of different sweeps: first_seed = 100000 and 5")
+    );
+    std::fs::rename(shares[1].join("episodes.csv"), shares[1].join("episodes.part.csv")).unwrap();
+    assert_eq!(merge(&[one, two, three]), format!("error: {two} is not finished: run its share 2/3 again"));
+}
+
+#[test]
+fn a_sweep_that_was_killed_goes_on_without_loss() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, cut) = (dir.path().join("whole"), dir.path().join("cut"));
+    sweep(&whole, &[]).good().unwrap();
+
+    // Killed without warning as soon as a few episodes are written down.
+    let flags = [&["sweep", "--out", cut.to_str().unwrap()], &SMALL[..]].concat();
+    let program = Program::start("gcs", &flags, None).unwrap();
+    let part = cut.join("episodes.part.csv");
+    let lines = || std::fs::read_to_string(&part).map_or(0, |text| text.lines().count());
+    while lines() < 4 && !cut.join("episodes.csv").exists() {
+        std::thread::yield_now();
+    }
+    drop(program);
+    // A machine that loses power can leave half a line, too.
+    if let Ok(mut text) = std::fs::read_to_string(&part) {
+        let torn = text.trim_end().len() - 3;
+        text.truncate(torn);
+        std::fs::write(&part, text).unwrap();
+    }
+    sweep(&cut, &[]).good().unwrap();
+    assert_same(&cut, &whole);
+}
+
+#[test]
+fn a_folder_of_another_sweep_is_not_touched() {
+    let dir = tempfile::tempdir().unwrap();
+    sweep(dir.path(), &[]).good().unwrap();
+    let before = bytes(dir.path());
+    let refused = sweep(dir.path(), &["--first-seed", "1"]);
+    assert!(!refused.status.success());
+    let error = refused.stderr;
+    assert!(error.contains("holds another sweep: first_seed = 1 and 100000 there"), "{error}");
+    assert!(bytes(dir.path()) == before);
+}
+
+#[test]
+fn gnu_parallel_flies_the_same_sweep() {
+    let dir = tempfile::tempdir().unwrap();
+    let (whole, shared) = (dir.path().join("whole"), dir.path().join("shared"));
+    sweep(&whole, &[]).good().unwrap();
+    let mut command = Command::new(workspace().join("docs/scaling/parallel.sh"));
+    command
+        .current_dir(workspace())
+        .env("GCS", program::path("gcs").unwrap())
+        .env("HOME", dir.path())
+        .args([SMALL[1], "3"])
+        .arg(&shared)
+        .args(&SMALL[2..]);
+    let output = Program::spawn("parallel.sh", command).unwrap().wait().unwrap();
+    output.good().unwrap();
+    assert_same(&shared.join("whole"), &whole);
+}
+
+#[test]
+fn duckdb_reads_in_the_parquet_what_the_csv_says() {
+    let dir = tempfile::tempdir().unwrap();
+    sweep(dir.path(), &[]).good().unwrap();
+    let said = python::script("read_parquet.py", &[dir.path()]).unwrap().good().unwrap();
+    assert_eq!(said, "42 rows, 11 columns, 0 differences, sweep.toml inside");
+}
