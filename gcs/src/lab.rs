@@ -1,6 +1,7 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
 pub mod figures;
+pub mod plot;
 
 use std::sync::Arc;
 

@@ -17,6 +17,7 @@
 //! | [`run`] | the folder that a flight leaves behind | flying |
 //! | [`episodes`] | many seeds in process | protocols |
 //! | [`sweep`] | a scenario's key against the metrics; shares, resumption, tables | protocols |
+//! | [`report`] | the paper's figures as a page | flying over a link |
 //! | [`stats`] | means, intervals, paired bootstrap | controllers |
 //! | [`parquet`] | flat tables in Parquet | what is in them |
 //! | [`demo`] | both controllers against a `sitl` of its own | controllers' insides |
@@ -29,6 +30,7 @@ pub mod lab;
 pub mod parquet;
 pub mod pilot;
 pub mod remote;
+pub mod report;
 pub mod run;
 pub mod station;
 pub mod stats;

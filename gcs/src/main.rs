@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use gcs::demo::{self, Flight};
 use gcs::fly::{self, Options};
 use gcs::pilot::Controller;
+use gcs::report;
 use gcs::run::{self, Brain, Summary};
 use gcs::sweep::{self, merge};
 use gcs::{episodes, episodes::Episodes};
@@ -35,6 +36,8 @@ enum Command {
     Sweep(sweep::Sweep),
     /// Join the shares of a sweep.
     Merge(merge::Merge),
+    /// Draw the paper's figures: one page, SVG, PNG, CSV and text.
+    Report(report::Report),
     /// Run the vehicle: the same program as `sitl`.
     Sitl(sitl::cli::Args),
 }
@@ -187,6 +190,7 @@ fn run_command(command: Command) -> Result<()> {
         Command::Episodes(args) => episodes::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Merge(args) => merge::run(&args),
+        Command::Report(args) => report::run(&args),
     }
 }
 

@@ -3,19 +3,29 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
+use plotters::coord::Shift;
 use plotters::prelude::*;
 use sitl::Scenario;
 use sitl::msg::TxPower;
 use sitl::record::Record;
 use sitl::world::channel;
 
+use super::plot;
+
 /// Cells of the blockage field along each side.
 const CELLS: usize = 100;
 const LOW: RGBColor = RGBColor(31, 119, 180);
 const HIGH: RGBColor = RGBColor(214, 39, 40);
 
+/// Width and height of `path.svg` and `path.png`, px.
+const PAGE: (u32, u32) = (760, 800);
+/// Width and height beside others, px.
+const PANEL: (u32, u32) = (440, 440);
+/// Greys that tell blockage probabilities apart.
+const GREYS: f64 = 21.0;
+
 /// Makes the font known to the plotting library, once.
-fn font() -> Result<()> {
+pub(super) fn font() -> Result<()> {
     static FONT: std::sync::OnceLock<bool> = std::sync::OnceLock::new();
     let known = *FONT.get_or_init(|| {
         plotters::style::register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).is_ok()
@@ -25,25 +35,46 @@ fn font() -> Result<()> {
 
 /// Draws the flight as `path.svg` and `path.png` in `dir`.
 pub fn path(dir: &Path, title: &str, records: &[Record], scenario: &Scenario) -> Result<()> {
-    font()?;
-    let size = (760, 800);
-    let svg = dir.join("path.svg");
-    draw(SVGBackend::new(&svg, size).into_drawing_area(), title, records, scenario)
-        .with_context(|| format!("drawing {}", svg.display()))?;
-    let png = dir.join("path.png");
-    draw(BitMapBackend::new(&png, size).into_drawing_area(), title, records, scenario)
-        .with_context(|| format!("drawing {}", png.display()))
+    let path = dir.join("path.svg");
+    let text = plot::svg(PAGE, |area| draw(area, title, records, scenario))?;
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+    plot::png(&dir.join("path.png"), PAGE, |area| draw(area, title, records, scenario))
+}
+
+/// The flight as the text of an SVG picture, to stand beside others.
+pub fn path_svg(title: &str, records: &[Record], scenario: &Scenario) -> Result<String> {
+    plot::svg(PANEL, |area| draw(area, title, records, scenario))
+}
+
+/// Flights of one scenario beside each other, `NAME.svg` and `NAME.png` in `dir`.
+pub fn paths(dir: &Path, name: &str, flights: &[(String, Vec<Record>)], scenario: &Scenario) -> Result<()> {
+    let columns = flights.len().clamp(1, 4);
+    let cells = (flights.len().div_ceil(columns).max(1), columns);
+    let size = (PANEL.0 * cells.1 as u32, PANEL.1 * cells.0 as u32);
+    let path = dir.join(format!("{name}.svg"));
+    let text = plot::svg(size, |area| draw_all(area, cells, flights, scenario))?;
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+    plot::png(&dir.join(format!("{name}.png")), size, |area| draw_all(area, cells, flights, scenario))
+}
+
+fn draw_all<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    cells: (usize, usize),
+    flights: &[(String, Vec<Record>)],
+    scenario: &Scenario,
+) -> Result<()> {
+    let areas = area.split_evenly(cells);
+    areas.iter().zip(flights).try_for_each(|(cell, (title, records))| draw(cell, title, records, scenario))
 }
 
 fn draw<B: DrawingBackend>(
-    area: DrawingArea<B, plotters::coord::Shift>,
+    area: &DrawingArea<B, Shift>,
     title: &str,
     records: &[Record],
     scenario: &Scenario,
 ) -> Result<()> {
     let failed = |e: DrawingAreaErrorKind<B::ErrorType>| anyhow!("{e}");
-    area.fill(&WHITE).map_err(failed)?;
-    let mut chart = ChartBuilder::on(&area)
+    let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
         .margin(12)
         .x_label_area_size(36)
@@ -51,15 +82,7 @@ fn draw<B: DrawingBackend>(
         .build_cartesian_2d(0.0..1.0, 0.0..1.0)
         .map_err(failed)?;
     let obstacle = records.last().map_or(scenario.obstacle.position, |r| r.obstacle);
-    let cell = 1.0 / CELLS as f64;
-    let field = (0..CELLS * CELLS).map(|n| {
-        let (x, y) = ((n % CELLS) as f64 * cell, (n / CELLS) as f64 * cell);
-        let centre = nalgebra::Vector2::new(x + 0.5 * cell, y + 0.5 * cell);
-        let p = channel::blockage(centre, obstacle, scenario.obstacle.radius, &scenario.channel);
-        let grey = (255.0 - 105.0 * p) as u8;
-        Rectangle::new([(x, y), (x + cell, y + cell)], RGBColor(grey, grey, grey).filled())
-    });
-    chart.draw_series(field).map_err(failed)?;
+    chart.draw_series(shadow(obstacle, scenario)).map_err(failed)?;
     chart.configure_mesh().disable_mesh().x_desc("x (east)").y_desc("y (north)").draw().map_err(failed)?;
 
     let disc = |r: nalgebra::Vector2<f64>, radius: f64| {
@@ -110,6 +133,31 @@ fn draw<B: DrawingBackend>(
         .background_style(WHITE.mix(0.85))
         .border_style(BLACK.mix(0.4))
         .draw()
-        .map_err(failed)?;
-    area.present().map_err(failed)
+        .map_err(failed)
+}
+
+/// The blockage field: neighbours of one grey in a row are one rectangle, and where nothing is blocked
+/// there is none.
+fn shadow(obstacle: nalgebra::Vector2<f64>, scenario: &Scenario) -> Vec<Rectangle<(f64, f64)>> {
+    let cell = 1.0 / CELLS as f64;
+    let level = |column: usize, row: usize| {
+        let centre = nalgebra::Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * cell;
+        let p = channel::blockage(centre, obstacle, scenario.obstacle.radius, &scenario.channel);
+        (p * (GREYS - 1.0)).round()
+    };
+    let mut rectangles = Vec::new();
+    for row in 0..CELLS {
+        let mut begin = 0;
+        while begin < CELLS {
+            let grey = level(begin, row);
+            let end = (begin..CELLS).find(|column| level(*column, row) != grey).unwrap_or(CELLS);
+            if grey > 0.0 {
+                let corners = [(begin, row), (end, row + 1)].map(|(x, y)| (x as f64 * cell, y as f64 * cell));
+                let shade = (255.0 - 105.0 * grey / (GREYS - 1.0)) as u8;
+                rectangles.push(Rectangle::new(corners, RGBColor(shade, shade, shade).filled()));
+            }
+            begin = end;
+        }
+    }
+    rectangles
 }

@@ -71,9 +71,11 @@ impl Metric {
         if self == Self::OutageTime { 1.0 } else { f64::MIN_POSITIVE }
     }
 
-    /// Decimals that are worth printing.
-    fn decimals(self) -> usize {
-        [4, 1, 0, 4, 2][self as usize]
+    /// Mean ± half of its interval (standard deviation), with the decimals that are worth printing.
+    #[must_use]
+    pub fn cell(self, mean: &Mean) -> String {
+        let d = [4, 1, 0, 4, 2][self as usize];
+        format!("{:.d$} ±{:.d$} ({:.d$})", mean.mean, mean.half_width(), mean.sd)
     }
 }
 
@@ -222,6 +224,12 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
+/// A ratio with its interval.
+#[must_use]
+pub fn ratio_cell(ratio: &Mean) -> String {
+    format!("{:.2} [{:.2}, {:.2}]", ratio.mean, ratio.ci[0], ratio.ci[1])
+}
+
 /// The rows as two tables for people: means with the half width of their 95 % interval and the
 /// standard deviation of a flight; ratios to CRPL with their 95 % interval.
 #[must_use]
@@ -244,8 +252,7 @@ pub fn text(plan: &Plan, rows: &[Row]) -> String {
     for row in rows {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
         for (m, width) in Metric::ALL.iter().zip([26, 20, 20, 26, 22]) {
-            let (mean, d) = (row.means.get(*m), m.decimals());
-            let cell = format!("{:.d$} ±{:.d$} ({:.d$})", mean.mean, mean.half_width(), mean.sd);
+            let cell = m.cell(&row.means.get(*m));
             let _ = write!(out, "{cell:>width$}");
         }
         let _ = writeln!(out, "{:>10.3}{:>8.3}", row.reached, row.below);
@@ -260,7 +267,7 @@ pub fn text(plan: &Plan, rows: &[Row]) -> String {
     for row in others() {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
         for ratio in Metric::ALL.iter().filter_map(|m| row.ratio_to_crpl.map(|five| five.get(*m))) {
-            let cell = format!("{:.2} [{:.2}, {:.2}]", ratio.mean, ratio.ci[0], ratio.ci[1]);
+            let cell = ratio_cell(&ratio);
             let _ = write!(out, "{cell:>22}");
         }
         out.push('\n');

@@ -1,0 +1,66 @@
+//! Closed-loop flights a second on one core, in process, every picture rendered and encoded; and what a control
+//! interval spends on rendering, on encoding and on the rest.
+
+#[path = "../../sitl/benches/rate/mod.rs"]
+mod rate;
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use clap::ValueEnum;
+use gcs::demo;
+use gcs::lab::Contender;
+use gcs::pilot::Controller;
+use gcs::run::Brain;
+use sitl::camera::Frame;
+use sitl::{Scenario, Sim};
+
+fn main() {
+    let brain = Brain::load(None, None).expect("the shipped world model");
+    let scenario = demo::scenario().expect("the demo's scenario");
+    for controller in Controller::value_variants() {
+        // A controller that has no policy for this scenario cannot be measured in it.
+        let Ok(contender) = Contender::new(&brain, *controller, &scenario) else { continue };
+        let mut seed = 0;
+        rate::rate(&format!("flights, {controller}"), "episodes", 1, || {
+            seed += 1;
+            black_box(contender.fly(seed).expect("a flight"));
+        });
+    }
+    shares(&brain, &scenario);
+}
+
+/// Where the time of a CRPL flight goes: the same pictures are rendered and encoded again alone.
+fn shares(brain: &Brain, scenario: &Scenario) {
+    let flights = if std::env::args().any(|arg| arg == "--bench") { 100 } else { 1 };
+    let contender = Contender::new(brain, Controller::Crpl, scenario).expect("the shipped policy");
+    let [mut whole, mut render, mut encode] = [Duration::ZERO; 3];
+    for seed in 0..flights {
+        let records = timed(&mut whole, || contender.records(seed));
+        let scenes: Vec<Sim> = records
+            .iter()
+            .map(|record| {
+                let mut there = scenario.clone();
+                (there.start, there.obstacle.position) = (record.r, record.obstacle);
+                Sim::new(there, 0)
+            })
+            .collect();
+        let frames: Vec<Frame> = timed(&mut render, || scenes.iter().map(Sim::frame).collect());
+        timed(&mut encode, || frames.iter().map(|frame| brain.world.encode(frame)).for_each(|z| drop(black_box(z))));
+    }
+    let intervals = (flights * scenario.horizon) as f64;
+    let micros = |time: Duration| time.as_secs_f64() * 1e6 / intervals;
+    let rest = whole.saturating_sub(render + encode);
+    println!("crpl, an interval: {:.1} us", micros(whole));
+    for (name, time) in [("render", render), ("encode", encode), ("policy, world, radio, records", rest)] {
+        let share = 100.0 * time.as_secs_f64() / whole.as_secs_f64();
+        println!("  {name:<30} {:>8.1} us  {share:>5.1} %", micros(time));
+    }
+}
+
+fn timed<T>(sum: &mut Duration, work: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let done = work();
+    *sum += start.elapsed();
+    done
+}

@@ -1,0 +1,133 @@
+//! One self-contained HTML page: pictures inline, no script, no request to anywhere; readable on a
+//! phone, in light and in dark.
+
+use std::fmt::Write;
+
+/// The page's look. Pictures are drawn on white; in the dark they are turned round.
+const STYLE: &str = "\
+:root{color-scheme:light dark;--ink:#1b1f24;--paper:#fff;--line:#d0d7de;--soft:#57606a;--good:#116329;--bad:#a40e26}
+@media(prefers-color-scheme:dark){:root{--ink:#e6edf3;--paper:#0d1117;--line:#30363d;--soft:#9aa4af;--good:#56d364;--bad:#ff7b72}
+figure svg{filter:invert(1) hue-rotate(180deg)}}
+body{font:16px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:1440px;margin:0 auto;padding:1rem}
+h1{font-size:1.6rem}h2{font-size:1.25rem;margin-top:2.2rem;border-bottom:1px solid var(--line)}
+p,li{max-width:75ch}
+.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,340px),1fr));gap:.8rem}
+figure{margin:0}figure svg{width:100%;height:auto}figcaption{color:var(--soft);font-size:.9rem}
+.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
+th,td{padding:.25rem .6rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
+th:first-child,td:first-child,td.text{text-align:left}
+.good{color:var(--good)}.bad{color:var(--bad)}
+.key span{display:inline-block;margin-right:1.2rem}.key i{display:inline-block;width:1.1em;height:.25em;margin-right:.4em;vertical-align:middle}
+pre{overflow-x:auto;font-size:.8rem;border:1px solid var(--line);padding:.6rem}";
+
+/// A page that grows from top to bottom.
+#[derive(Debug, Clone)]
+pub struct Page {
+    title: String,
+    body: String,
+}
+
+impl Page {
+    /// An empty page.
+    #[must_use]
+    pub fn new(title: &str) -> Self {
+        Self { title: escape(title), body: String::new() }
+    }
+
+    /// A section's head.
+    pub fn section(&mut self, title: &str) {
+        let _ = writeln!(self.body, "<h2>{}</h2>", escape(title));
+    }
+
+    /// A paragraph.
+    pub fn text(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p>{}</p>", escape(text));
+    }
+
+    /// Statements, each with its verdict.
+    pub fn claims(&mut self, claims: &[super::Claim]) {
+        self.body.push_str("<ul>\n");
+        for claim in claims {
+            let class = if claim.holds { "good" } else { "bad" };
+            let (verdict, text) = (claim.verdict(), escape(&claim.text));
+            let _ = writeln!(self.body, "<li><b class=\"{class}\">{verdict}</b> {text}</li>");
+        }
+        self.body.push_str("</ul>\n");
+    }
+
+    /// Pictures beside each other, or below each other where there is no room; SVG text and caption.
+    pub fn figures(&mut self, figures: &[(String, String)]) {
+        self.body.push_str("<div class=\"figures\">\n");
+        for (svg, caption) in figures {
+            let caption = escape(caption);
+            let _ = writeln!(self.body, "<figure>{svg}<figcaption>{caption}</figcaption></figure>");
+        }
+        self.body.push_str("</div>\n");
+    }
+
+    /// Which colour is what: name and `rgb(...)`.
+    pub fn key(&mut self, names: &[(String, String)]) {
+        self.body.push_str("<p class=\"key\">");
+        for (name, colour) in names {
+            let name = escape(name);
+            let _ = write!(self.body, "<span><i style=\"background:{colour}\"></i>{name}</span>");
+        }
+        self.body.push_str("</p>\n");
+    }
+
+    /// A table that can be pushed sideways on a narrow screen.
+    pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) {
+        let cells = |tag: &str, cells: &[String]| {
+            cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect::<String>()
+        };
+        let head: Vec<String> = head.iter().map(ToString::to_string).collect();
+        let _ = writeln!(self.body, "<div class=\"wide\"><table><tr>{}</tr>", cells("th", &head));
+        for row in rows {
+            let _ = writeln!(self.body, "<tr>{}</tr>", cells("td", row));
+        }
+        self.body.push_str("</table></div>\n");
+    }
+
+    /// Text as it is, folded away.
+    pub fn folded(&mut self, title: &str, text: &str) {
+        let (title, text) = (escape(title), escape(text));
+        let _ = writeln!(self.body, "<details><summary>{title}</summary><pre>{text}</pre></details>");
+    }
+
+    /// The whole document.
+    #[must_use]
+    pub fn html(&self) -> String {
+        let Self { title, body } = self;
+        format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+             <title>{title}</title>\n<style>\n{STYLE}\n</style>\n<h1>{title}</h1>\n{body}</html>\n"
+        )
+    }
+}
+
+/// Text for the inside of an element.
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_needs_nothing_else_and_shows_text_as_text() {
+        let mut page = Page::new("a < b");
+        page.text("<script>1</script> & more");
+        page.figures(&[("<svg></svg>".into(), "x".into())]);
+        page.table(&["k"], &[vec!["<v>".into()]]);
+        let html = page.html();
+        assert!(
+            html.contains("<title>a &lt; b</title>") && html.contains("&lt;script&gt;1&lt;/script&gt; &amp;")
+        );
+        assert!(html.contains("<svg></svg>") && html.contains("<td>&lt;v&gt;</td>"));
+        for outside in ["http", "src=", "<script", "@import"] {
+            assert!(!html.contains(outside), "{outside}");
+        }
+    }
+}
