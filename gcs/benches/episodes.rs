@@ -46,7 +46,9 @@ fn shares(brain: &Brain, scenario: &Scenario) {
             })
             .collect();
         let frames: Vec<Frame> = timed(&mut render, || scenes.iter().map(Sim::frame).collect());
-        timed(&mut encode, || frames.iter().map(|frame| brain.world.encode(frame)).for_each(|z| drop(black_box(z))));
+        timed(&mut encode, || {
+            frames.iter().map(|frame| brain.world.encode(frame)).for_each(|z| drop(black_box(z)))
+        });
     }
     let intervals = (flights * scenario.horizon) as f64;
     let micros = |time: Duration| time.as_secs_f64() * 1e6 / intervals;

@@ -3,6 +3,7 @@
 pub mod apc;
 pub mod crpl;
 pub mod crpl_bw;
+pub mod crpl_exact_latents;
 pub mod rcc;
 pub mod reactive;
 pub mod ucc;
@@ -27,6 +28,8 @@ pub enum Controller {
     Crpl,
     /// CRPL with the power that the bandwidth needs
     CrplBw,
+    /// CRPL on the latents of the true positions: what the encoder costs
+    CrplExactLatents,
     /// Analytical predictive control: the oracle, from telemetry and the equations
     Apc,
     /// Reactive constrained control, from present telemetry
@@ -40,6 +43,7 @@ impl std::fmt::Display for Controller {
         f.write_str(match self {
             Self::Crpl => "crpl",
             Self::CrplBw => "crpl-bw",
+            Self::CrplExactLatents => "crpl-exact-latents",
             Self::Apc => "apc",
             Self::Rcc => "rcc",
             Self::Ucc => "ucc",
@@ -54,6 +58,8 @@ pub enum Pilot {
     Crpl(Arc<Policies>),
     /// As CRPL, and knows the radio's constants.
     CrplBw(Arc<Policies>, Arc<HeadsAt>),
+    /// Sees true positions, and would be CRPL if the encoder had no error. For measurements alone.
+    CrplExactLatents(Arc<Policies>, crpl_exact_latents::Memory),
     /// Sees present telemetry and the equations.
     Apc,
     /// Sees present telemetry.
@@ -75,6 +81,10 @@ impl Pilot {
             Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
             Self::CrplBw(policies, heads) => {
                 crpl_bw::decide(policies, heads, world, belief.latents(), scenario)
+            }
+            Self::CrplExactLatents(policies, memory) => {
+                let now = memory.latents(world, &Present::of(telemetry, scenario));
+                crpl::decide(policies, world, now, scenario)
             }
             Self::Apc => apc::decide(&Present::of(telemetry, scenario), scenario),
             Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),

@@ -16,6 +16,7 @@ use sitl::record::{Metrics, Record};
 
 use crate::fly::Flight;
 use crate::lab::figures;
+use crate::pilot::crpl_exact_latents::Memory;
 use crate::pilot::{Controller, Pilot, rcc, ucc};
 use crate::station::Station;
 
@@ -45,6 +46,9 @@ impl Brain {
             Controller::CrplBw => {
                 let heads = self.world.heads_at(scenario.channel.base_station);
                 Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(heads))
+            }
+            Controller::CrplExactLatents => {
+                Pilot::CrplExactLatents(Arc::new(self.policies(scenario)?), Memory::default())
             }
             Controller::Apc => Pilot::Apc,
             Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),

@@ -7,6 +7,7 @@
 
 pub(crate) mod lanes;
 
+mod exact;
 mod head;
 mod rollout;
 
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::kernel::Lane;
 use crate::mlp::Mlp;
+pub use exact::{Exact, Quantity};
 pub use head::Head;
 pub(crate) use rollout::samples;
 use rollout::{Share, Trace, backward, forward};

@@ -30,6 +30,8 @@ pub struct OptimiseConfig {
     pub objective: Objective,
     /// What the latent rollout knows beyond the learned predictor.
     pub limits: Limits,
+    /// Which heads of risk and gain the latent rollout reads.
+    pub heads: Heads,
     /// H
     pub horizon: usize,
     /// K, a multiple of 32.
@@ -65,11 +67,22 @@ pub struct OptimiseConfig {
     pub stage2_iterations: usize,
 }
 
+/// Heads of risk and gain in the latent rollout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Heads {
+    /// The world model's own.
+    Learned,
+    /// The simulator's equations, to measure what learning them costs.
+    Exact,
+}
+
 impl Default for OptimiseConfig {
     fn default() -> Self {
         Self {
             objective: Objective::default(),
             limits: Limits::Walls,
+            heads: Heads::Learned,
             horizon: 100,
             rollouts: 64,
             learning_rate: 1e-3,

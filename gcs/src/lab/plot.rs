@@ -75,14 +75,15 @@ impl Panel {
         let (x, top) = if x.0 > x.1 { ((0.0, 1.0), 1.0) } else { (x, top) };
         let wide = (x.1 - x.0).max(1e-9);
         let high = (top - y.0).max(1e-9);
-        (x.0 - 0.03 * wide..x.1 + 0.03 * wide, y.0..y.0 + 1.08 * high)
+        let bottom = if y.0 < 0.0 { y.0 - 0.05 * high } else { 0.0 };
+        (x.0 - 0.03 * wide..x.1 + 0.03 * wide, bottom..y.0 + 1.08 * high)
     }
 
     /// Draws it on an area of any size.
     pub fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<()> {
         let failed = |e: DrawingAreaErrorKind<B::ErrorType>| anyhow!("{e}");
         let (x, y) = self.ranges();
-        let decimals = decimals(&y);
+        let (x_decimals, y_decimals) = (decimals(&x), decimals(&y));
         let mut chart = ChartBuilder::on(area)
             .caption(&self.title, ("sans-serif", 16))
             .margin(8)
@@ -98,7 +99,8 @@ impl Panel {
             .label_style(("sans-serif", 13))
             .light_line_style(TRANSPARENT)
             .bold_line_style(BLACK.mix(0.1))
-            .y_label_formatter(&|v| format!("{v:.decimals$}"))
+            .x_label_formatter(&|v| format!("{v:.x_decimals$}"))
+            .y_label_formatter(&|v| format!("{v:.y_decimals$}"))
             .draw()
             .map_err(failed)?;
         for (name, level) in &self.levels {
@@ -107,7 +109,8 @@ impl Panel {
             let at = (x.start + 0.01 * (x.end - x.start), *level + 0.055 * (y.end - y.start));
             chart.draw_series([Text::new(name.clone(), at, ("sans-serif", 13))]).map_err(failed)?;
         }
-        for curve in &self.curves {
+        // The first curve lies on top.
+        for curve in self.curves.iter().rev() {
             let colour = curve.colour;
             let there = curve.band.iter().map(|(x, low, _)| (*x, low.max(y.start)));
             let back = curve.band.iter().rev().map(|(x, _, high)| (*x, *high));
@@ -115,11 +118,8 @@ impl Panel {
             if !outline.is_empty() {
                 chart.draw_series([Polygon::new(outline, colour.mix(0.15))]).map_err(failed)?;
             }
-            chart
-                .draw_series(LineSeries::new(curve.points.iter().copied(), colour.stroke_width(2)))
-                .map_err(failed)?
-                .label(&curve.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+            let line = LineSeries::new(curve.points.iter().copied(), colour.stroke_width(2));
+            chart.draw_series(line).map_err(failed)?;
             if curve.dots {
                 let dots = curve.points.iter().map(|at| Circle::new(*at, 3, colour.filled()));
                 chart.draw_series(dots).map_err(failed)?;
@@ -128,6 +128,14 @@ impl Panel {
         let hollow = self.marks.iter().map(|(colour, x, y)| Circle::new((*x, *y), 6, colour.stroke_width(2)));
         chart.draw_series(hollow).map_err(failed)?;
         if self.legend {
+            for curve in &self.curves {
+                let colour = curve.colour;
+                chart
+                    .draw_series(LineSeries::new(std::iter::empty(), colour))
+                    .map_err(failed)?
+                    .label(&curve.name)
+                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+            }
             chart
                 .configure_series_labels()
                 .position(SeriesLabelPosition::UpperRight)

@@ -1,24 +1,65 @@
-//! A learned head in the rollout: its value for all lanes, and its slope in y_c.
+//! A head in the rollout: its value for all lanes, and its slope in y_c.
 
+use super::exact::Exact;
 use super::lanes::{HIDDEN, tanh_all, times_tanh_slope};
 use crate::heads_at::SightLine;
 use crate::kernel::{self, LANES, Lane, ZERO};
 use crate::mlp::Mlp;
 
-/// A head with scalar output, MLP 4-64-64-1 (scales and constants folded in) on [y_c, y_u] or on their
+/// A head with scalar output.
+#[derive(Debug, Clone)]
+pub struct Head(Kind);
+
+#[derive(Debug, Clone)]
+enum Kind {
+    Learned(Learned),
+    Exact(Box<Exact>),
+}
+
+impl Head {
+    /// A learned head, a 4-64-64-1 network; `None` for other widths.
+    #[must_use]
+    pub fn new(net: Mlp, sight: Option<SightLine>) -> Option<Self> {
+        Some(Self(Kind::Learned(Learned::new(net, sight)?)))
+    }
+
+    /// The simulator's equation in a head's place.
+    #[must_use]
+    pub fn exact(equation: Exact) -> Self {
+        Self(Kind::Exact(Box::new(equation)))
+    }
+
+    /// The output for all lanes.
+    #[inline(always)]
+    pub(super) fn value(&self, y: &[Lane; 4]) -> Lane {
+        match &self.0 {
+            Kind::Learned(head) => head.value(y),
+            Kind::Exact(head) => head.value(y),
+        }
+    }
+
+    /// Gradient of the output with respect to y_c.
+    #[inline(always)]
+    pub(super) fn gradient(&self, y: &[Lane; 4]) -> [Lane; 2] {
+        match &self.0 {
+            Kind::Learned(head) => head.gradient(y),
+            Kind::Exact(head) => head.gradient(y),
+        }
+    }
+}
+
+/// A network, MLP 4-64-64-1 (scales and constants folded in) on [y_c, y_u] or on their
 /// coordinates of the sight line.
 #[derive(Debug, Clone)]
-pub struct Head {
+struct Learned {
     net: Mlp,
     sight: Option<SightLine>,
     w1_transposed: Vec<f32>,
     w2_transposed: Vec<f32>,
 }
 
-impl Head {
-    /// Wraps a 4-64-64-1 network; `None` for other widths.
-    #[must_use]
-    pub fn new(net: Mlp, sight: Option<SightLine>) -> Option<Self> {
+impl Learned {
+    fn new(net: Mlp, sight: Option<SightLine>) -> Option<Self> {
         let [a, b, c] = net.layers.as_slice() else { return None };
         let widths = [a.inputs, a.outputs, b.outputs, c.outputs];
         if widths != [4, HIDDEN, HIDDEN, 1] {
@@ -29,15 +70,13 @@ impl Head {
         Some(Self { net, sight, w1_transposed, w2_transposed })
     }
 
-    /// The output for all lanes.
     #[inline(always)]
-    pub(super) fn value(&self, y: &[Lane; 4]) -> Lane {
+    fn value(&self, y: &[Lane; 4]) -> Lane {
         self.layers(&self.input(y)).2
     }
 
-    /// Gradient of the output with respect to y_c.
     #[inline(always)]
-    pub(super) fn gradient(&self, y: &[Lane; 4]) -> [Lane; 2] {
+    fn gradient(&self, y: &[Lane; 4]) -> [Lane; 2] {
         let (h1, h2, _) = self.layers(&self.input(y));
         let Some(last) = self.net.layers.last() else { return [ZERO; 2] };
         let mut d2 = [ZERO; HIDDEN];

@@ -9,9 +9,9 @@ use sitl::world::dynamics::limit_speed;
 use sitl::world::noise::{Noise, Stream};
 use sitl::{Scenario, camera};
 
-use super::{OptimiseConfig, OptimiseError};
+use super::{Heads, OptimiseConfig, OptimiseError};
 use crate::checkpoint;
-use crate::crpl::{Draws, Head, Plant};
+use crate::crpl::{Draws, Exact, Head, Plant, Quantity};
 use crate::kernel::{LANES, Lane, ZERO};
 use crate::world_model::{HeadsAt, WorldModel};
 
@@ -145,11 +145,12 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
     let rows = |m: &nalgebra::Matrix2<f64>| {
         [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
     };
-    let HeadsAt { collision, mut gain, sight } = world.heads_at(scenario.channel.base_station);
-    if let Some(last) = gain.layers.last_mut() {
-        last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
-    }
-    let (no_collision, no_gain) = (OptimiseError::Head("collision"), OptimiseError::Head("gain"));
+    let (collision, gain) = match config.heads {
+        Heads::Learned => learned_heads(world, scenario)?,
+        Heads::Exact => [Quantity::CollisionLogit, Quantity::LogGain]
+            .map(|quantity| Head::exact(Exact::new(quantity, world.probe, scenario.clone())))
+            .into(),
+    };
     Ok(Plant {
         psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
         psi_u: [rows(&psi.u0), rows(&psi.u1)],
@@ -158,7 +159,19 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
         limits: config.limits,
         goal: [0.0; 2],
-        collision: Head::new(collision, None).ok_or(no_collision)?,
-        gain: Head::new(gain, Some(sight)).ok_or(no_gain)?,
+        collision,
+        gain,
     })
+}
+
+/// The world model's heads of risk and gain, the noise power folded in.
+fn learned_heads(world: &WorldModel, scenario: &Scenario) -> Result<(Head, Head), OptimiseError> {
+    let HeadsAt { collision, mut gain, sight } = world.heads_at(scenario.channel.base_station);
+    if let Some(last) = gain.layers.last_mut() {
+        last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
+    }
+    Ok((
+        Head::new(collision, None).ok_or(OptimiseError::Head("collision"))?,
+        Head::new(gain, Some(sight)).ok_or(OptimiseError::Head("gain"))?,
+    ))
 }
