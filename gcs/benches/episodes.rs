@@ -47,7 +47,9 @@ fn shares(brain: &Brain, scenario: &Scenario) {
             .collect();
         let frames: Vec<Frame> = timed(&mut render, || scenes.iter().map(Sim::frame).collect());
         timed(&mut encode, || {
-            frames.iter().map(|frame| brain.world.encode(frame)).for_each(|z| drop(black_box(z)))
+            for frame in &frames {
+                black_box(brain.world.encode(frame));
+            }
         });
     }
     let intervals = (flights * scenario.horizon) as f64;

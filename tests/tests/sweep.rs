@@ -149,3 +149,27 @@ fn duckdb_reads_in_the_parquet_what_the_csv_says() {
     let said = python::script("read_parquet.py", &[dir.path()]).unwrap().good().unwrap();
     assert_eq!(said, "42 rows, 11 columns, 0 differences, sweep.toml inside");
 }
+
+#[test]
+fn a_report_is_one_page_that_needs_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    sweep(dir.path(), &[]).good().unwrap();
+    let said = gcs(&["report", dir.path().to_str().unwrap()]).good().unwrap();
+    // Sentences about the paper's figures, decided by the numbers.
+    assert!(said.contains("rcc over crpl is") && said.contains("the paper says 3, at least 3"), "{said}");
+    let report = dir.path().join("report");
+    let names: Vec<String> = bytes(&report).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["bandwidth.csv", "bandwidth.png", "bandwidth.svg", "bandwidth.txt", "index.html"]);
+    let page = std::fs::read_to_string(report.join("index.html")).unwrap();
+    assert_eq!(page.matches("<svg").count(), 5);
+    for outside in ["<script", "<img", "<link", "url(", "@import"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    let points = std::fs::read(dir.path().join("points.csv")).unwrap();
+    assert!(std::fs::read(report.join("bandwidth.csv")).unwrap() == points);
+
+    let refused = gcs(&["report", "configs"]);
+    assert!(!refused.status.success());
+    assert!(refused.stderr.starts_with("error: configs is not a sweep's folder"), "{}", refused.stderr);
+    assert!(!workspace().join("configs/report").exists());
+}
