@@ -8,10 +8,14 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use clap::{Parser, ValueEnum};
 
-use crate::link::endpoint::{Direction, Endpoint};
+use crate::fleet;
+use crate::link::endpoint::{Direction, Endpoint, Transport};
+use crate::link::links::Links;
+use crate::link::signing::{Policy, Signing, Store};
 use crate::scenario::Scenario;
 use crate::shell::{Ended, Shell};
 use crate::sim::Sim;
+use crate::stats::{Histogram, Stats, Stopwatch};
 use crate::vehicle::Vehicle;
 
 /// Who decides when a control interval passes.
@@ -23,10 +27,11 @@ pub enum Pace {
     Lockstep,
 }
 
-/// A UAV simulator that speaks MAVLink 2 over UDP, renders its camera and puts a radio in the way.
+/// A UAV simulator that speaks MAVLink 2 over UDP and TCP, renders its camera and puts a radio in the
+/// way.
 ///
 /// Listens on 14550 unless told otherwise. If a ground station such as QGroundControl listens there,
-/// let sitl speak first: --listen udpout:127.0.0.1:14550.
+/// let sitl speak first: --connect udpout:127.0.0.1:14550.
 #[derive(Debug, Clone, Parser)]
 #[command(name = "sitl", version)]
 pub struct Args {
@@ -36,9 +41,13 @@ pub struct Args {
     /// The paper's scenario: 1, obstacle beside the direct path, or 2, in it [default: the file's, or 2]
     #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
     pub scenario: Option<u8>,
-    /// udpin:HOST:PORT to listen (port 0: any free one), udpout:HOST:PORT to speak first
-    #[arg(long, value_name = "ENDPOINT", default_value = "udpin:127.0.0.1:14550")]
-    pub listen: Endpoint,
+    /// udpin:HOST:PORT or tcpin:HOST:PORT (port 0: any free one); may be repeated [default:
+    /// udpin:127.0.0.1:14550, unless there is a --connect]
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<Endpoint>,
+    /// udpout:HOST:PORT or tcpout:HOST:PORT, to speak first; may be repeated
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<Endpoint>,
     /// Real time, or one tick per setpoint
     #[arg(long, value_enum, default_value = "realtime")]
     pub pace: Pace,
@@ -51,9 +60,43 @@ pub struct Args {
     /// End after N control intervals [default: fly on]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub ticks: Option<u64>,
-    /// MAVLink system id of the vehicle
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=254))]
+    /// MAVLink system id of the vehicle, or of the first
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
     pub sysid: u8,
+    /// So many vehicles in this process: system ids, seeds and ports count up, obstacles differ
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
+    pub instances: u8,
+    /// All vehicles behind the same endpoints, told apart by their system ids
+    #[arg(long)]
+    pub shared: bool,
+    /// File with the key of message signing and its timestamps; a key that comes by SETUP_SIGNING is
+    /// kept there
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
+    /// Whether unsigned messages are refused
+    #[arg(long, value_enum, default_value = "optional")]
+    pub signing: SigningPolicy,
+    /// Print at the end how late control intervals began, and the processor's time
+    #[arg(long)]
+    pub stats: bool,
+}
+
+/// What becomes of unsigned messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SigningPolicy {
+    /// They are taken.
+    Optional,
+    /// They are refused, once there is a key.
+    Required,
+}
+
+impl From<SigningPolicy> for Policy {
+    fn from(policy: SigningPolicy) -> Self {
+        match policy {
+            SigningPolicy::Optional => Self::Optional,
+            SigningPolicy::Required => Self::Required,
+        }
+    }
 }
 
 fn parse_speedup(text: &str) -> Result<f64, String> {
@@ -77,41 +120,134 @@ impl Args {
     }
 }
 
+impl Args {
+    /// Where to listen and to whom to speak: what was asked for, or the default.
+    fn endpoints(&self) -> Vec<Endpoint> {
+        let asked: Vec<Endpoint> = self.listen.iter().chain(&self.connect).cloned().collect();
+        if !asked.is_empty() {
+            return asked;
+        }
+        let local = "127.0.0.1".to_owned();
+        vec![Endpoint { transport: Transport::Udp, direction: Direction::In, host: local, port: 14_550 }]
+    }
+
+    /// Each vehicle that was asked for.
+    fn vehicles(&self, scenario: &Scenario) -> Result<Vec<Vehicle>> {
+        let most = usize::from(u8::MAX - self.sysid) + 1;
+        let count = usize::from(self.instances);
+        anyhow::ensure!(
+            count <= most.min(fleet::MOST),
+            "--instances {count} from --sysid {}: system ids end at 255",
+            self.sysid
+        );
+        let vehicles = (0..count).map(|index| {
+            let scenario = fleet::scenario(scenario, self.seed, index);
+            let sim = Sim::new(scenario, self.seed.wrapping_add(index as u64));
+            Vehicle::new(sim, self.sysid + index as u8, self.ticks)
+        });
+        Ok(vehicles.collect())
+    }
+
+    /// The vehicles behind their endpoints, shared or each its own.
+    async fn shells(&self, scenario: &Scenario) -> Result<Vec<Shell>> {
+        let (vehicles, endpoints) = (self.vehicles(scenario)?, self.endpoints());
+        if self.shared || vehicles.len() == 1 {
+            return Ok(vec![Shell::over(Links::open(&endpoints).await?, vehicles)]);
+        }
+        let mut shells = Vec::with_capacity(vehicles.len());
+        for (index, vehicle) in vehicles.into_iter().enumerate() {
+            let own = fleet::endpoints(&endpoints, index).context("--instances: ports end at 65535")?;
+            shells.push(Shell::over(Links::open(&own).await?, vec![vehicle]));
+        }
+        Ok(shells)
+    }
+
+    /// Key and timestamps, and their file.
+    fn signing(&self) -> Result<Option<(Signing, Store)>> {
+        let policy = Policy::from(self.signing);
+        let Some(path) = &self.signing_key else {
+            anyhow::ensure!(policy == Policy::Optional, "--signing required needs --signing-key FILE");
+            return Ok(None);
+        };
+        anyhow::ensure!(self.instances == 1, "--signing-key is for one vehicle, not for --instances");
+        let store = Store::new(path);
+        let signing = store.load(policy)?;
+        let has_key = signing.is_on() || policy == Policy::Optional;
+        anyhow::ensure!(has_key, "--signing required: there is no key in {}", path.display());
+        Ok(Some((signing, store)))
+    }
+}
+
 /// Flies until the last tick or Ctrl-C. The first line on stdout names the address.
 pub async fn run(args: Args) -> Result<()> {
     let scenario = args.scenario()?;
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speedup)
         .context("the control interval divided by --speedup")?
         .max(Duration::from_micros(1));
-    let (socket, peer) = args.listen.open().await?;
-    let local = socket.local_addr().context("reading the socket's address")?;
-    match args.listen.direction {
-        Direction::In => say(&format!("listening on udpin:{local}")),
-        Direction::Out => say(&format!("sending to {} from port {}", args.listen, local.port())),
+    let signing = args.signing()?;
+    let mut shells = args.shells(&scenario).await?;
+    for line in shells.iter().flat_map(Shell::describe) {
+        say(&line);
+    }
+    if let Some((signing, store)) = signing {
+        shells[0].keep_signing(signing, store);
     }
     tracing::info!(scenario = scenario.name, seed = args.seed, pace = ?args.pace, "waiting for a ground station");
 
-    let vehicle = Vehicle::new(Sim::new(scenario, args.seed), args.sysid, args.ticks);
-    let mut shell = Shell::new(socket, vehicle, peer);
-    let ended = match args.pace {
-        Pace::Lockstep => shell.lockstep().await,
-        Pace::Realtime => shell.real_time(period).await,
-    };
-    let vehicle = shell.vehicle();
-    let (tick, fates) = (vehicle.sim().tick().0, vehicle.sim().fates());
-    tracing::info!("{}", vehicle.tally());
-    say(&match ended {
-        Ended::Over { acknowledged: true } => format!("flight over after {tick} ticks"),
-        Ended::Over { acknowledged: false } => {
-            format!("flight over after {tick} ticks; no station confirmed the last percept")
-        }
-        Ended::Interrupted => format!("interrupted at tick {tick}"),
-    });
-    say(&format!(
-        "commands: {} sent, {} delivered, {} delayed, {} superseded, {} lost",
-        fates.sent, fates.delivered, fates.delayed, fates.superseded, fates.lost
-    ));
+    let stopwatch = Stopwatch::default();
+    let mut flights = tokio::task::JoinSet::new();
+    for (index, mut shell) in shells.into_iter().enumerate() {
+        flights.spawn(async move {
+            let ended = match args.pace {
+                Pace::Lockstep => shell.lockstep().await,
+                Pace::Realtime => shell.real_time(period).await,
+            };
+            shell.save_signing(true);
+            (index, ended, shell)
+        });
+    }
+    let mut flown = flights.join_all().await;
+    flown.sort_by_key(|(index, ..)| *index);
+    for (_, ended, shell) in &flown {
+        tell(*ended, shell);
+    }
+    if args.stats {
+        let (wall, cpu) = stopwatch.elapsed();
+        say(&format!("stats: {}", stats(flown.iter().map(|(.., shell)| shell), wall, cpu)));
+    }
     Ok(())
+}
+
+/// What became of the flights of a shell.
+fn tell(ended: Ended, shell: &Shell) {
+    let several = shell.vehicles().len() > 1;
+    for vehicle in shell.vehicles() {
+        let (tick, fates) = (vehicle.sim().tick().0, vehicle.sim().fates());
+        let name = if several { format!("vehicle {}: ", vehicle.system()) } else { String::new() };
+        tracing::info!("{name}{}", vehicle.tally());
+        say(&match ended {
+            Ended::Over { acknowledged: true } => format!("{name}flight over after {tick} ticks"),
+            Ended::Over { acknowledged: false } => {
+                format!("{name}flight over after {tick} ticks; no station confirmed the last percept")
+            }
+            Ended::Interrupted => format!("{name}interrupted at tick {tick}"),
+        });
+        say(&format!(
+            "{name}commands: {} sent, {} delivered, {} delayed, {} superseded, {} lost",
+            fates.sent, fates.delivered, fates.delayed, fates.superseded, fates.lost
+        ));
+    }
+}
+
+/// What the run of these shells has cost.
+pub fn stats<'a>(shells: impl Iterator<Item = &'a Shell>, wall: Duration, cpu: Option<Duration>) -> Stats {
+    let mut stats = Stats { vehicles: 0, lateness: Histogram::default(), intervals: 0, wall, cpu };
+    for shell in shells {
+        stats.vehicles += shell.vehicles().len();
+        stats.intervals += shell.vehicles().iter().map(|vehicle| vehicle.sim().tick().0).sum::<u64>();
+        stats.lateness.merge(shell.lateness());
+    }
+    stats
 }
 
 /// A line on stdout at once, even into a pipe. A reader that has gone away is no reason to stop.
@@ -199,7 +335,7 @@ mod tests {
     #[test]
     fn the_defaults_fly_scenario_2_in_real_time() {
         let args = parse(&[]).unwrap();
-        assert_eq!(args.listen.to_string(), "udpin:127.0.0.1:14550");
+        assert_eq!(args.endpoints()[0].to_string(), "udpin:127.0.0.1:14550");
         assert_eq!(args.pace, Pace::Realtime);
         assert_eq!(args.scenario().unwrap().number(), Some(2));
     }
@@ -222,10 +358,35 @@ mod tests {
     }
 
     #[test]
+    fn endpoints_are_what_was_asked_for() {
+        let args = parse(&["--listen", "udp::14550", "--connect", "tcp:127.0.0.1:1", "--listen", "tcpin::0"]);
+        let told: Vec<String> = args.unwrap().endpoints().iter().map(Endpoint::to_string).collect();
+        assert_eq!(told, ["udpin:127.0.0.1:14550", "tcpin:127.0.0.1:0", "tcpout:127.0.0.1:1"]);
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_said_in_one_line() {
+        let error = |flags: &[&str]| {
+            let args = parse(flags).unwrap();
+            let vehicles = args.vehicles(&Scenario::default()).map(drop);
+            vehicles.and(args.signing().map(drop)).unwrap_err().to_string()
+        };
+        assert!(error(&["--sysid", "2", "--instances", "255"]).contains("system ids end at 255"));
+        assert!(error(&["--signing", "required"]).contains("needs --signing-key"));
+        let flags = ["--signing", "required", "--signing-key", "/nowhere/key"];
+        assert_eq!(error(&flags), "--signing required: there is no key in /nowhere/key");
+        assert!(error(&["--instances", "2", "--signing-key", "/nowhere/key"]).contains("for one vehicle"));
+    }
+
+    #[test]
     fn nonsense_is_refused() {
         for flags in [
             ["--scenario", "3"],
             ["--listen", "tcp:1"],
+            ["--connect", "serial:/dev/ttyUSB0"],
+            ["--instances", "0"],
+            ["--instances", "256"],
+            ["--signing", "maybe"],
             ["--speedup", "0"],
             ["--speedup", "nan"],
             ["--ticks", "0"],

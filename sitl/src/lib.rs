@@ -18,13 +18,16 @@
 //! | [`link`] | MAVLink 2 in datagrams, for both programs | physics, controllers |
 //! | [`vehicle`] | `Sim` as MAVLink peers see it, a state machine | clocks, sockets |
 //! | [`shell`] | sockets and timers: lockstep and real time | what a datagram means |
+//! | [`fleet`] | many vehicles in one process: ids, ports, obstacles | sockets |
 //! | [`cli`] | flags to a running vehicle | |
+//! | [`stats`] | how late intervals begin, and the processor's time | vehicles |
 //! | [`record`] | one line per control interval, and the five metrics | where the lines came from |
 //!
 //! Nothing here opens a socket or reads a clock but the shells of the program.
 
 pub mod camera;
 pub mod cli;
+pub mod fleet;
 pub mod link;
 pub mod msg;
 pub mod radio;
@@ -33,6 +36,7 @@ mod revision;
 pub mod scenario;
 pub mod shell;
 pub mod sim;
+pub mod stats;
 pub mod units;
 pub mod vehicle;
 pub mod world;

@@ -10,13 +10,17 @@
 //! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
-//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:HOST:PORT` |
+//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
+//! | [`links`] | several endpoints at once, as one source and sink of bytes |
+//! | [`signing`] | signatures, the key and its file |
 //! | [`tlog`] | the log that every MAVLink tool reads |
 
 pub mod decoder;
 pub mod encoder;
 pub mod endpoint;
 pub mod image;
+pub mod links;
+pub mod signing;
 pub mod tlog;
 pub mod wire;
 

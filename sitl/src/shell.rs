@@ -1,4 +1,4 @@
-//! Sockets and timers around a [`Vehicle`]. The two paces differ only in who calls `advance`.
+//! Sockets and timers around one or more [`Vehicle`]s. The two paces differ only in who calls `advance`.
 //!
 //! - lockstep: the arrival of the setpoint for this tick. While it is missing, the percept is sent
 //!   again, so a lost datagram delays a flight and changes nothing.
@@ -11,8 +11,11 @@ use std::net::SocketAddr;
 use std::time::{Duration, SystemTime};
 
 use tokio::net::UdpSocket;
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
+use crate::link::links::{Arrival, BUFFER, Links};
+use crate::link::signing::{Signing, Store};
+use crate::stats::Histogram;
 use crate::vehicle::Vehicle;
 
 /// First pause before something is sent again.
@@ -23,6 +26,8 @@ const RESEND_LAST: Duration = Duration::from_millis(200);
 const LINGER: Duration = Duration::from_secs(3);
 /// Heartbeats, on the wall's clock whatever the pace.
 const HEARTBEAT: Duration = Duration::from_secs(1);
+/// Datagrams that are handled before timers and sending have their turn.
+const BATCH: usize = 64;
 
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,31 +67,67 @@ impl Backoff {
     }
 }
 
-/// A vehicle on a socket.
+/// Vehicles behind their endpoints.
 #[derive(Debug)]
 pub struct Shell {
-    socket: UdpSocket,
-    vehicle: Vehicle,
+    links: Links,
+    vehicles: Vec<Vehicle>,
     start: Instant,
     buffer: Vec<u8>,
+    lateness: Histogram,
+    store: Option<Store>,
 }
 
 impl Shell {
     /// Puts a vehicle on a socket; `peer` is spoken to first, if given.
     #[must_use]
-    pub fn new(socket: UdpSocket, mut vehicle: Vehicle, peer: Option<SocketAddr>) -> Self {
-        // A clock before 1970 is no clock, and the vehicle then says that it has none.
-        vehicle.set_epoch(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).ok());
-        if let Some(peer) = peer {
-            vehicle.add_peer(peer, Duration::ZERO);
-        }
-        Self { socket, vehicle, start: Instant::now(), buffer: vec![0; 65_536] }
+    pub fn new(socket: UdpSocket, vehicle: Vehicle, peer: Option<SocketAddr>) -> Self {
+        Self::over(Links::of_socket(socket, peer), vec![vehicle])
     }
 
-    /// The vehicle.
+    /// Puts vehicles, of which there must be one at least, behind endpoints that they share.
+    #[must_use]
+    pub fn over(links: Links, mut vehicles: Vec<Vehicle>) -> Self {
+        assert!(!vehicles.is_empty(), "somebody must fly");
+        for vehicle in &mut vehicles {
+            // A clock before 1970 is no clock, and the vehicle then says that it has none.
+            vehicle.set_epoch(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).ok());
+            for peer in links.fixed() {
+                vehicle.add_peer(peer, Duration::ZERO);
+            }
+        }
+        let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
+        Self { links, vehicles, start: Instant::now(), buffer, lateness, store: None }
+    }
+
+    /// Gives the first vehicle its key, and keeps key and timestamps in a file.
+    pub fn keep_signing(&mut self, signing: Signing, store: Store) {
+        self.vehicles[0].set_signing(signing);
+        self.store = Some(store);
+    }
+
+    /// What each endpoint does, for a person.
+    #[must_use]
+    pub fn describe(&self) -> Vec<String> {
+        self.links.describe()
+    }
+
+    /// The first vehicle.
     #[must_use]
     pub fn vehicle(&self) -> &Vehicle {
-        &self.vehicle
+        &self.vehicles[0]
+    }
+
+    /// All vehicles.
+    #[must_use]
+    pub fn vehicles(&self) -> &[Vehicle] {
+        &self.vehicles
+    }
+
+    /// How late each control interval began, in real time.
+    #[must_use]
+    pub fn lateness(&self) -> &Histogram {
+        &self.lateness
     }
 
     /// Flies in lockstep with the station.
@@ -101,18 +142,20 @@ impl Shell {
             }
             let streams = self.next_stream();
             tokio::select! {
-                () = receive(&self.socket, &mut self.buffer, &mut self.vehicle, self.start) => {
-                    if self.vehicle.ready() {
-                        self.vehicle.advance(self.start.elapsed());
+                arrival = self.links.receive(&mut self.buffer) => {
+                    self.arrived(arrival);
+                    let now = self.start.elapsed();
+                    for vehicle in self.vehicles.iter_mut().filter(|vehicle| vehicle.ready()) {
+                        vehicle.advance(now);
                         resend = Backoff::default();
                     }
                 }
                 () = resend.elapsed() => {
-                    self.vehicle.send_percept();
+                    self.vehicles.iter_mut().for_each(Vehicle::send_percept);
                     resend.lengthen();
                 }
-                () = until(streams) => self.vehicle.stream(self.start.elapsed()),
-                _ = beat.tick() => self.vehicle.beat(),
+                () = until(streams) => self.stream(),
+                _ = beat.tick() => self.beat(),
                 _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
             }
         }
@@ -120,7 +163,8 @@ impl Shell {
 
     /// Flies by the clock, one control interval each `period`.
     pub async fn real_time(&mut self, period: Duration) -> Ended {
-        self.vehicle.start_streams(period, self.start.elapsed());
+        let now = self.start.elapsed();
+        self.vehicles.iter_mut().for_each(|vehicle| vehicle.start_streams(period, now));
         let mut beat = interval(HEARTBEAT);
         let mut timer = interval(period);
         timer.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -132,42 +176,88 @@ impl Shell {
             }
             let streams = self.next_stream();
             tokio::select! {
-                () = receive(&self.socket, &mut self.buffer, &mut self.vehicle, self.start) => {}
-                _ = timer.tick() => {
-                    if self.vehicle.begun() && !self.vehicle.over() {
-                        self.vehicle.advance(self.start.elapsed());
-                    } else {
-                        self.vehicle.send_percept();
-                    }
-                }
-                () = until(streams) => self.vehicle.stream(self.start.elapsed()),
-                _ = beat.tick() => self.vehicle.beat(),
+                arrival = self.links.receive(&mut self.buffer) => self.arrived(arrival),
+                due = timer.tick() => self.interval(due),
+                () = until(streams) => self.stream(),
+                _ = beat.tick() => self.beat(),
                 _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
             }
         }
     }
 
-    /// Whether the flight is over and need not wait for its acknowledgement any longer; `last` is
+    /// A control interval, which should have begun at `due`.
+    fn interval(&mut self, due: Instant) {
+        for vehicle in &mut self.vehicles {
+            if vehicle.begun() && !vehicle.over() {
+                self.lateness.add(due.elapsed());
+                vehicle.advance(self.start.elapsed());
+            } else {
+                vehicle.send_percept();
+            }
+        }
+    }
+
+    /// Hands what has come to the vehicles, and what else is there already.
+    fn arrived(&mut self, first: Arrival) {
+        let mut next = Some(first);
+        for _ in 0..BATCH {
+            let Some(arrival) = next else { return };
+            let now = self.start.elapsed();
+            for vehicle in &mut self.vehicles {
+                match arrival {
+                    Arrival::Bytes(from, length) => vehicle.datagram(&self.buffer[..length], from, now),
+                    Arrival::Connected(peer) => vehicle.connected(peer, now),
+                    Arrival::Closed(peer) => vehicle.closed(peer),
+                }
+            }
+            next = self.links.try_receive(&mut self.buffer);
+        }
+        if let Some(Arrival::Bytes(from, length)) = next {
+            let now = self.start.elapsed();
+            self.vehicles.iter_mut().for_each(|vehicle| vehicle.datagram(&self.buffer[..length], from, now));
+        }
+    }
+
+    fn stream(&mut self) {
+        let now = self.start.elapsed();
+        self.vehicles.iter_mut().for_each(|vehicle| vehicle.stream(now));
+    }
+
+    fn beat(&mut self) {
+        self.vehicles.iter_mut().for_each(Vehicle::beat);
+        if self.vehicles[0].signing_mut().take_changed() {
+            self.save_signing(false);
+        }
+    }
+
+    /// Writes key and timestamps to their file, if there is one; `clean` at the end.
+    pub fn save_signing(&mut self, clean: bool) {
+        let Some(store) = &self.store else { return };
+        if let Err(error) = store.save(self.vehicles[0].signing_mut(), clean) {
+            tracing::warn!("{error}");
+        }
+    }
+
+    /// Whether all flights are over and need not wait for their acknowledgement any longer; `last` is
     /// the end of that wait, once it has begun.
     fn ended(&self, last: &mut Option<Instant>) -> Option<Ended> {
-        if !self.vehicle.over() {
+        if !self.vehicles.iter().all(Vehicle::over) {
             return None;
         }
-        let acknowledged = self.vehicle.acknowledged();
+        let acknowledged = self.vehicles.iter().all(Vehicle::acknowledged);
         let patience = *last.get_or_insert_with(|| Instant::now() + LINGER);
         (acknowledged || Instant::now() >= patience).then_some(Ended::Over { acknowledged })
     }
 
     /// When the next stream has something to send.
     fn next_stream(&self) -> Option<Instant> {
-        self.vehicle.next_stream().map(|due| self.start + due)
+        self.vehicles.iter().filter_map(Vehicle::next_stream).min().map(|due| self.start + due)
     }
 
     async fn flush(&mut self) {
-        while let Some((to, bytes)) = self.vehicle.poll() {
-            // A peer that has gone away is no reason to stop flying.
-            if let Err(error) = self.socket.send_to(&bytes, to.address).await {
-                tracing::debug!(%to, "sending: {error}");
+        for vehicle in &mut self.vehicles {
+            while let Some((to, bytes)) = vehicle.poll() {
+                self.links.send(to, &bytes).await;
             }
         }
     }
@@ -178,17 +268,5 @@ async fn until(instant: Option<Instant>) {
     match instant {
         Some(instant) => sleep_until(instant).await,
         None => std::future::pending().await,
-    }
-}
-
-/// Hands the next datagram to the vehicle.
-async fn receive(socket: &UdpSocket, buffer: &mut [u8], vehicle: &mut Vehicle, start: Instant) {
-    match socket.recv_from(buffer).await {
-        Ok((length, from)) => vehicle.datagram(&buffer[..length], from, start.elapsed()),
-        // "Connection refused" by a peer that has gone away, and the like.
-        Err(error) => {
-            tracing::debug!("receiving: {error}");
-            sleep(Duration::from_millis(1)).await;
-        }
     }
 }

@@ -43,10 +43,11 @@ mod tests;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use crate::link::decoder::{Counts, Decoder};
+use crate::link::decoder::{Counts, Decoder, Packet};
 use crate::link::dialect::MavSeverity;
 use crate::link::encoder::Encoder;
-use crate::link::wire::{Clock, Refusal};
+use crate::link::signing::{self, Origin, Rejection, Signing};
+use crate::link::wire::{Clock, Refusal, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::scenario::Scenario;
 use crate::sim::Sim;
@@ -81,6 +82,13 @@ pub struct Vehicle {
     battery: Battery,
     peers: BTreeMap<PeerId, Peer>,
     outbox: VecDeque<(PeerId, Vec<u8>)>,
+    /// Datagrams of the outbox that are signed already.
+    signed: VecDeque<(PeerId, Vec<u8>)>,
+    signing: Signing,
+    /// The newest `now`.
+    now: Duration,
+    /// `now` at the last control interval.
+    advanced: Duration,
     /// This tick's picture, once somebody wanted it.
     png: Option<Vec<u8>>,
     /// How often this tick's percept has been sent to all.
@@ -115,6 +123,30 @@ pub struct Tally {
     pub refused: BTreeMap<Refusal, u64>,
     /// Commands that it does not know.
     pub unsupported: u64,
+    /// Frames with a right signature.
+    pub signed: u64,
+    /// Frames refused for their signature, or for having none.
+    pub unsigned: BTreeMap<Rejection, u64>,
+}
+
+impl Tally {
+    /// The sum of both.
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
+        self.packets = self.packets.plus(other.packets);
+        self.setpoints += other.setpoints;
+        self.stale += other.stale;
+        self.ignored += other.ignored;
+        self.unsupported += other.unsupported;
+        self.signed += other.signed;
+        for (&refusal, count) in &other.refused {
+            *self.refused.entry(refusal).or_default() += count;
+        }
+        for (&rejection, count) in &other.unsigned {
+            *self.unsigned.entry(rejection).or_default() += count;
+        }
+        self
+    }
 }
 
 impl std::fmt::Display for Tally {
@@ -123,7 +155,14 @@ impl std::fmt::Display for Tally {
         for (refusal, count) in &self.refused {
             write!(f, ", {count} x {refusal}")?;
         }
-        write!(f, "; {} unsupported commands; {}", self.unsupported, self.packets)
+        write!(f, "; {} unsupported commands; {}", self.unsupported, self.packets)?;
+        if self.signed > 0 || !self.unsigned.is_empty() {
+            write!(f, "; {} signed", self.signed)?;
+        }
+        for (rejection, count) in &self.unsigned {
+            write!(f, ", {count} refused: {rejection}")?;
+        }
+        Ok(())
     }
 }
 
@@ -138,18 +177,23 @@ struct Peer {
     /// Named by configuration: never makes room for others.
     fixed: bool,
     heard: Duration,
+    /// Bytes.
+    received: u64,
+    sent: u64,
 }
 
 impl Peer {
-    fn new(system: u8, fixed: bool, now: Duration) -> Self {
+    fn new(system: u8, now: Duration) -> Self {
         Self {
             decoder: Decoder::default(),
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
             images: false,
             rates: Rates::default(),
-            fixed,
+            fixed: false,
             heard: now,
+            received: 0,
+            sent: 0,
         }
     }
 }
@@ -179,6 +223,10 @@ impl Vehicle {
             battery: Battery::default(),
             peers: BTreeMap::new(),
             outbox: VecDeque::new(),
+            signed: VecDeque::new(),
+            signing: Signing::default(),
+            now: Duration::ZERO,
+            advanced: Duration::ZERO,
             png: None,
             sendings: 0,
             begun: false,
@@ -198,25 +246,56 @@ impl Vehicle {
         self.epoch = epoch;
     }
 
+    /// Sets key, policy and timestamps of signing.
+    pub fn set_signing(&mut self, signing: Signing) {
+        self.signing = signing;
+    }
+
+    /// Key, policy and timestamps of signing.
+    pub fn signing_mut(&mut self) -> &mut Signing {
+        &mut self.signing
+    }
+
     /// A peer that is spoken to before it has spoken.
     pub fn add_peer(&mut self, address: impl Into<PeerId>, now: Duration) {
-        let address = address.into();
-        self.peers.insert(address, Peer::new(self.system, true, now));
+        let peer = Peer { fixed: true, ..Peer::new(self.system, now) };
+        self.introduce(address.into(), peer, now);
+    }
+
+    /// A stream has begun: its peer is spoken to at once, and is gone with it.
+    pub fn connected(&mut self, address: PeerId, now: Duration) {
+        let peer = Peer { fixed: true, decoder: Decoder::of_stream(), ..Peer::new(self.system, now) };
+        self.introduce(address, peer, now);
+    }
+
+    /// A stream has ended.
+    pub fn closed(&mut self, address: PeerId) {
+        self.forget(address);
+    }
+
+    fn introduce(&mut self, address: PeerId, peer: Peer, now: Duration) {
+        self.peers.insert(address, peer);
         self.set_default_rates(address, now);
         self.greet(address);
     }
 
-    /// A datagram has arrived.
+    /// A datagram has arrived, or a part of a stream.
     pub fn datagram(&mut self, bytes: &[u8], from: impl Into<PeerId>, now: Duration) {
         let from = from.into();
+        self.now = now;
         let known = self.peers.remove(&from);
         let is_new = known.is_none();
-        let mut peer = known.unwrap_or_else(|| Peer::new(self.system, false, now));
+        let mut peer = known.unwrap_or_else(|| Peer::new(self.system, now));
         let before = peer.decoder.counts();
-        let packets = peer.decoder.datagram(bytes);
+        let stamp = self.stamp();
+        let packets = peer.decoder.datagram(bytes).into_iter();
+        let packets: Vec<(Packet, Origin)> = packets
+            .filter_map(|packet| self.signing.check(&packet, stamp).ok().map(|o| (packet, o)))
+            .collect();
         // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
         // hears MAVLink 2.
-        if is_new && packets.is_empty() && peer.decoder.counts().mavlink1 == 0 {
+        let begins = peer.decoder.counts().mavlink1 > 0 && !self.signing.is_required();
+        if is_new && packets.is_empty() && !begins {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }
@@ -227,20 +306,61 @@ impl Vehicle {
             self.make_room();
         }
         peer.heard = now;
-        self.peers.insert(from, peer);
+        peer.received += bytes.len() as u64;
         if is_new {
-            self.set_default_rates(from, now);
-            self.greet(from);
+            self.introduce(from, peer, now);
             self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
+        } else {
+            self.peers.insert(from, peer);
         }
-        for packet in &packets {
+        for (packet, origin) in &packets {
+            self.setup_signing(packet, *origin, now);
             self.packet(packet, from, now);
         }
     }
 
     /// The next datagram to send, and where to.
     pub fn poll(&mut self) -> Option<(PeerId, Vec<u8>)> {
-        self.outbox.pop_front()
+        if let Some(signed) = self.signed.pop_front() {
+            return Some(signed);
+        }
+        let (to, datagram) = self.outbox.pop_front()?;
+        let stamp = self.stamp();
+        let datagrams = self.signing.sign(datagram, to.endpoint as u8, stamp);
+        self.signed.extend(datagrams.into_iter().map(|datagram| (to, datagram)));
+        let (to, datagram) = self.signed.pop_front()?;
+        if let Some(peer) = self.peers.get_mut(&to) {
+            peer.sent += datagram.len() as u64;
+        }
+        Some((to, datagram))
+    }
+
+    /// Now, in units of signing; 0 if nobody knows.
+    fn stamp(&self) -> u64 {
+        self.epoch.map_or(0, |epoch| signing::timestamp(epoch + self.now))
+    }
+
+    /// SETUP_SIGNING: the first key comes from anybody, any other must be signed with the old one.
+    fn setup_signing(&mut self, packet: &Packet, origin: Origin, now: Duration) {
+        let Some((key, initial)) = signing::setup_of(packet) else { return };
+        let fields = packet.fields();
+        let target = Target { system: fields.u8(8), component: fields.u8(9) };
+        if !target.is(self.system, AUTOPILOT) {
+            return;
+        }
+        if self.signing.is_on() && origin != Origin::Signed {
+            self.say("signing", MavSeverity::MAV_SEVERITY_WARNING, "signing: unsigned key refused", now);
+            return;
+        }
+        let text = if key.is_some() { "signing: new key" } else { "signing: off" };
+        self.signing.set_key(key, initial);
+        self.say("signing", MavSeverity::MAV_SEVERITY_NOTICE, text, now);
+    }
+
+    /// Its system id.
+    #[must_use]
+    pub fn system(&self) -> u8 {
+        self.system
     }
 
     /// Whether a setpoint for this very tick has arrived.
@@ -269,6 +389,7 @@ impl Vehicle {
 
     /// One control interval passes; the percept at its end goes to all peers.
     pub fn advance(&mut self, now: Duration) {
+        (self.now, self.advanced) = (now, now);
         let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
         let arrivals = self.arrivals();
         self.sim.transmit();
@@ -322,7 +443,12 @@ impl Vehicle {
     #[must_use]
     pub fn tally(&self) -> Tally {
         let packets = self.peers.values().map(|peer| peer.decoder.counts());
-        Tally { packets: packets.fold(self.tally.packets, Counts::plus), ..self.tally.clone() }
+        Tally {
+            packets: packets.fold(self.tally.packets, Counts::plus),
+            signed: self.signing.accepted(),
+            unsigned: self.signing.rejected().clone(),
+            ..self.tally.clone()
+        }
     }
 
     fn make_room(&mut self) {
@@ -330,10 +456,22 @@ impl Vehicle {
             return;
         }
         let quietest = self.peers.iter().filter(|(_, peer)| !peer.fixed).min_by_key(|(_, peer)| peer.heard);
-        if let Some(address) = quietest.map(|(&address, _)| address)
-            && let Some(gone) = self.peers.remove(&address)
-        {
+        if let Some(address) = quietest.map(|(&address, _)| address) {
+            self.forget(address);
+        }
+    }
+
+    fn forget(&mut self, address: PeerId) {
+        if let Some(gone) = self.peers.remove(&address) {
             self.tally.packets = self.tally.packets.plus(gone.decoder.counts());
         }
+    }
+
+    /// The vehicle's clock, ns since it booted: in real time it goes on between control intervals.
+    fn boot_ns(&self, now: Duration) -> u64 {
+        let at_tick = u64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
+        let Some(period) = self.period else { return at_tick };
+        let part = (now.saturating_sub(self.advanced).as_secs_f64() / period.as_secs_f64()).min(1.0);
+        at_tick + (part * self.clock.interval_s() * 1e9) as u64
     }
 }

@@ -3,7 +3,9 @@
 //! Whatever stands between two good frames is skipped and counted, byte by byte if need be, so junk
 //! never hides or delays the good frame behind it. A frame cut in two by the sender is joined with
 //! the next datagram, as autopilots do. MAVLink 1 frames are recognised, counted and left alone.
-//! Signatures are stepped over, not checked.
+//! Signatures are stepped over, not checked: [`super::signing`] does that.
+
+use std::borrow::Cow;
 
 use mavlink::{Message, MessageData, calculate_crc};
 
@@ -11,7 +13,8 @@ use super::dialect::MavMessage;
 
 const MAGIC_V1: u8 = 0xFE;
 const MAGIC_V2: u8 = 0xFD;
-const SIGNED: u8 = 1;
+/// Incompatibility flag of a frame with a signature.
+pub(super) const SIGNED: u8 = 1;
 
 /// A frame whose checksum is right.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -159,6 +162,8 @@ impl std::fmt::Display for Counts {
 pub struct Decoder {
     /// A frame's beginning at the end of the last datagram.
     tail: Vec<u8>,
+    /// Whether the bytes are a stream's: a frame may come in any number of parts.
+    stream: bool,
     counts: Counts,
 }
 
@@ -175,17 +180,23 @@ enum Found {
 }
 
 impl Decoder {
+    /// Reads a stream, such as TCP's, which cuts its bytes anywhere.
+    #[must_use]
+    pub fn of_stream() -> Self {
+        Self { stream: true, ..Self::default() }
+    }
+
     /// What arrived so far.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// The good frames of a datagram, in order.
+    /// The good frames of a datagram, or of a part of a stream, in order.
     pub fn datagram(&mut self, bytes: &[u8]) -> Vec<Packet> {
-        let mut buffer = std::mem::take(&mut self.tail);
-        let joined = !buffer.is_empty();
-        buffer.extend_from_slice(bytes);
+        let tail = std::mem::take(&mut self.tail);
+        let joined = !tail.is_empty();
+        let buffer = if joined { Cow::Owned([&tail, bytes].concat()) } else { Cow::Borrowed(bytes) };
         let mut packets = Vec::new();
         let (mut at, mut blamed, mut cut) = (0, 0, None);
         while at < buffer.len() {
@@ -216,7 +227,7 @@ impl Decoder {
         }
         // A frame cut off twice, by two datagrams, will not be mended by a third.
         match cut {
-            Some(start) if !(joined && start == 0) => self.tail = buffer.split_off(start),
+            Some(start) if self.stream || !(joined && start == 0) => self.tail = buffer[start..].to_vec(),
             _ => {
                 self.truncated(cut);
             }
@@ -282,7 +293,7 @@ fn find_v1(rest: &[u8]) -> Found {
 const ZERO_EXTRA: u32 = 395;
 
 /// CRC_EXTRA of a message that the dialect knows.
-fn crc_extra(id: u32) -> Option<u8> {
+pub(super) fn crc_extra(id: u32) -> Option<u8> {
     match MavMessage::extra_crc(id) {
         0 if id != ZERO_EXTRA => None,
         extra => Some(extra),
@@ -360,6 +371,20 @@ mod tests {
         assert_eq!(sequences(&decoder.datagram(&second)), [1]);
         assert_eq!(decoder.counts().frames, 3);
         assert!(decoder.counts().truncated + decoder.counts().bad_crc >= 1, "{}", decoder.counts());
+    }
+
+    #[test]
+    fn a_stream_is_cut_anywhere() {
+        let (mut encoder, mut bytes) = (Encoder::new(1, 1), Vec::new());
+        for _ in 0..20 {
+            bytes.extend(heartbeat(&mut encoder));
+        }
+        for part in 1..40 {
+            let mut decoder = Decoder::of_stream();
+            let packets: Vec<Packet> = bytes.chunks(part).flat_map(|part| decoder.datagram(part)).collect();
+            assert_eq!(sequences(&packets), (0..20).collect::<Vec<u8>>(), "parts of {part}");
+            assert_eq!(decoder.counts(), Counts { frames: 20, ..Counts::default() });
+        }
     }
 
     #[test]

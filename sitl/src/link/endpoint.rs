@@ -1,4 +1,6 @@
-//! `udpin:HOST:PORT` listens, `udpout:HOST:PORT` speaks first; `udpin://HOST:PORT` is the same.
+//! Where to listen or to send: `udpin:HOST:PORT` and `tcpin:` listen, `udpout:` and `tcpout:` speak
+//! first. `udpin://HOST:PORT` is the same; `udp:` means `udpin:` and `tcp:` means `tcpout:`, as
+//! pymavlink has it. Without a host it is 127.0.0.1: whoever wants the world says `0.0.0.0`.
 
 use std::fmt;
 use std::io;
@@ -16,9 +18,20 @@ pub enum Direction {
     Out,
 }
 
-/// One end of a UDP link.
+/// Datagrams or a stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transport {
+    /// Datagrams.
+    Udp,
+    /// A stream.
+    Tcp,
+}
+
+/// One end of a link.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Endpoint {
+    /// Datagrams or a stream.
+    pub transport: Transport,
     /// Who speaks first.
     pub direction: Direction,
     /// Name or address; an IPv6 address in brackets.
@@ -29,7 +42,9 @@ pub struct Endpoint {
 
 /// Not an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no endpoint ({why}); write udpin:HOST:PORT to listen or udpout:HOST:PORT to send")]
+#[error(
+    "`{text}` is no endpoint ({why}); write udpin:HOST:PORT or tcpin:HOST:PORT to listen, udpout:HOST:PORT or tcpout:HOST:PORT to connect"
+)]
 pub struct NoEndpoint {
     text: String,
     why: &'static str,
@@ -56,28 +71,63 @@ pub enum OpenError {
         /// Why.
         source: io::Error,
     },
+    /// Nobody listens there.
+    #[error("{endpoint}: connecting to {address}: {source}")]
+    Connect {
+        /// The endpoint.
+        endpoint: Endpoint,
+        /// The address that it stands for.
+        address: SocketAddr,
+        /// Why.
+        source: io::Error,
+    },
+    /// A stream, where datagrams are needed.
+    #[error("{0}: only udpin and udpout can be used here")]
+    Transport(Endpoint),
 }
 
+/// The receive buffer that is asked for, bytes: a burst of a few thousand frames. The system may give
+/// less.
+const RECEIVE_BUFFER: usize = 4 << 20;
+
 impl Endpoint {
-    /// Opens the socket. The address is that of the peer to which an `Out` endpoint sends.
+    /// Opens the socket of a UDP endpoint. The address is that of the peer to which an `Out` endpoint
+    /// sends.
     pub async fn open(&self) -> Result<(UdpSocket, Option<SocketAddr>), OpenError> {
-        let failed = |why: String| OpenError::Lookup { endpoint: self.clone(), why };
-        let found = lookup_host(format!("{}:{}", self.host, self.port)).await;
-        let address = found
-            .map_err(|error| failed(error.to_string()))?
-            .next()
-            .ok_or_else(|| failed("it has no address".into()))?;
+        if self.transport != Transport::Udp {
+            return Err(OpenError::Transport(self.clone()));
+        }
+        let address = self.address().await?;
         let (local, peer) = match (self.direction, address) {
             (Direction::In, _) => (address, None),
             (Direction::Out, SocketAddr::V4(_)) => (SocketAddr::from(([0; 4], 0)), Some(address)),
             (Direction::Out, SocketAddr::V6(_)) => (SocketAddr::from(([0; 16], 0)), Some(address)),
         };
-        let socket = UdpSocket::bind(local).await.map_err(|source| OpenError::Bind {
-            endpoint: self.clone(),
-            address: local,
-            source,
-        })?;
+        let socket = UdpSocket::bind(local).await.map_err(|source| self.no_bind(local, source))?;
+        if let Err(error) = socket2::SockRef::from(&socket).set_recv_buffer_size(RECEIVE_BUFFER) {
+            tracing::debug!("{self}: receive buffer: {error}");
+        }
         Ok((socket, peer))
+    }
+
+    /// The first address of its host.
+    pub(super) async fn address(&self) -> Result<SocketAddr, OpenError> {
+        let failed = |why: String| OpenError::Lookup { endpoint: self.clone(), why };
+        let mut found = lookup_host(format!("{}:{}", self.host, self.port))
+            .await
+            .map_err(|error| failed(error.to_string()))?;
+        found.next().ok_or_else(|| failed("it has no address".into()))
+    }
+
+    pub(super) fn no_bind(&self, address: SocketAddr, source: io::Error) -> OpenError {
+        OpenError::Bind { endpoint: self.clone(), address, source }
+    }
+
+    /// The same, `by` ports further; `None` beyond the last port. Port 0 stays.
+    #[must_use]
+    pub fn further(&self, by: u16) -> Option<Self> {
+        let port = if self.port == 0 { Some(0) } else { self.port.checked_add(by) };
+        port.map(|port| Self { port, ..self.clone() })
     }
 }
 
@@ -87,30 +137,35 @@ impl FromStr for Endpoint {
     fn from_str(text: &str) -> Result<Self, NoEndpoint> {
         let no = |why| NoEndpoint { text: text.into(), why };
         let (scheme, rest) = text.split_once(':').ok_or_else(|| no("it has no colon"))?;
-        let direction = match scheme {
-            "udpin" => Direction::In,
-            "udpout" => Direction::Out,
-            _ => return Err(no("only udpin and udpout are known")),
+        let (transport, direction) = match scheme {
+            "udpin" | "udp" => (Transport::Udp, Direction::In),
+            "udpout" => (Transport::Udp, Direction::Out),
+            "tcpin" => (Transport::Tcp, Direction::In),
+            "tcpout" | "tcp" => (Transport::Tcp, Direction::Out),
+            _ => return Err(no("only udpin, udpout, tcpin and tcpout are known")),
         };
         let rest = rest.strip_prefix("//").unwrap_or(rest);
         let (host, port) = rest.rsplit_once(':').ok_or_else(|| no("the port is missing"))?;
         let port = port.parse().map_err(|_| no("the port is not a number from 0 to 65535"))?;
         let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']'));
-        if host.is_empty() || (host.contains(':') && bare.is_none()) {
-            return Err(no("the host is missing, or is an IPv6 address without brackets"));
+        if host.contains(':') && bare.is_none() {
+            return Err(no("an IPv6 address needs brackets"));
         }
         if direction == Direction::Out && port == 0 {
             return Err(no("nobody listens on port 0"));
         }
-        Ok(Self { direction, host: host.into(), port })
+        let host = if host.is_empty() { "127.0.0.1" } else { host };
+        Ok(Self { transport, direction, host: host.into(), port })
     }
 }
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scheme = match self.direction {
-            Direction::In => "udpin",
-            Direction::Out => "udpout",
+        let scheme = match (self.transport, self.direction) {
+            (Transport::Udp, Direction::In) => "udpin",
+            (Transport::Udp, Direction::Out) => "udpout",
+            (Transport::Tcp, Direction::In) => "tcpin",
+            (Transport::Tcp, Direction::Out) => "tcpout",
         };
         write!(f, "{scheme}:{}:{}", self.host, self.port)
     }
@@ -121,12 +176,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_spellings_name_the_same_endpoint() {
+    fn all_spellings_name_the_same_endpoint() {
         for (text, shown) in [
             ("udpin:127.0.0.1:14550", "udpin:127.0.0.1:14550"),
             ("udpin://127.0.0.1:0", "udpin:127.0.0.1:0"),
+            ("udpin:0.0.0.0:14550", "udpin:0.0.0.0:14550"),
+            ("udp://:14540", "udpin:127.0.0.1:14540"),
             ("udpout://ground.example:14540", "udpout:ground.example:14540"),
             ("udpout:[::1]:14550", "udpout:[::1]:14550"),
+            ("tcp:127.0.0.1:5760", "tcpout:127.0.0.1:5760"),
+            ("tcpin://0.0.0.0:5760", "tcpin:0.0.0.0:5760"),
+            ("tcpout:[::1]:5760", "tcpout:[::1]:5760"),
         ] {
             assert_eq!(text.parse::<Endpoint>().unwrap().to_string(), shown);
         }
@@ -136,16 +196,24 @@ mod tests {
     fn what_is_wrong_is_said_in_one_line() {
         for (text, why) in [
             ("14550", "no colon"),
-            ("tcp:127.0.0.1:5760", "only udpin and udpout"),
+            ("serial:/dev/ttyUSB0:57600", "only udpin, udpout, tcpin and tcpout"),
             ("udpin:127.0.0.1", "port is missing"),
             ("udpin:127.0.0.1:70000", "from 0 to 65535"),
-            ("udpin::14550", "host is missing"),
-            ("udpout:::1:14550", "without brackets"),
+            ("udpout:::1:14550", "needs brackets"),
             ("udpout:127.0.0.1:0", "port 0"),
+            ("tcp:127.0.0.1:0", "port 0"),
         ] {
             let error = text.parse::<Endpoint>().unwrap_err().to_string();
             assert!(error.contains(why) && !error.contains('\n'), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn ports_count_up_and_end() {
+        let endpoint: Endpoint = "udpin:127.0.0.1:65000".parse().unwrap();
+        assert_eq!(endpoint.further(535).map(|e| e.port), Some(65_535));
+        assert_eq!(endpoint.further(536), None);
+        assert_eq!("udpin::0".parse::<Endpoint>().unwrap().further(7).map(|e| e.port), Some(0));
     }
 
     #[tokio::test]

@@ -4,6 +4,8 @@
 use std::io::{self, Write};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use super::signing;
+
 /// Message id 256.
 const SETUP_SIGNING: [u8; 3] = [0, 1, 0];
 
@@ -22,17 +24,14 @@ impl<W: Write> Tlog<W> {
 
     /// Appends the frames of a datagram that we made ourselves.
     pub fn datagram(&mut self, bytes: &[u8], time: SystemTime) -> io::Result<()> {
-        let mut rest = bytes;
-        while let Some(&length) = rest.get(1) {
-            let (frame, behind) = rest.split_at(rest.len().min(12 + usize::from(length)));
+        for frame in signing::frames(bytes) {
             self.frame(frame, time)?;
-            rest = behind;
         }
         Ok(())
     }
 
-    /// Appends a frame that was sent or received at `time`. Times never go back in the file, and
-    /// SETUP_SIGNING, which holds a key, never enters it.
+    /// Appends a frame that was sent or received at `time`. Times never go back in the file. A
+    /// signature is left out, and SETUP_SIGNING, which holds a key, never enters it.
     pub fn frame(&mut self, raw: &[u8], time: SystemTime) -> io::Result<()> {
         if raw.get(7..10) == Some(&SETUP_SIGNING) {
             return Ok(());
@@ -40,7 +39,7 @@ impl<W: Write> Tlog<W> {
         let since = time.duration_since(UNIX_EPOCH).unwrap_or_default();
         self.last_us = self.last_us.max(since.as_micros() as u64);
         self.sink.write_all(&self.last_us.to_be_bytes())?;
-        self.sink.write_all(raw)
+        self.sink.write_all(&signing::strip(raw))
     }
 
     /// Hands everything to the file.

@@ -64,7 +64,7 @@ impl Vehicle {
                     self.reply(from, &dialect::PING_DATA { time_usec, seq, target_system, target_component });
                 }
                 dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
-                    let boot_ns = i64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
+                    let boot_ns = self.boot_ns(now) as i64;
                     let (target_system, target_component) = asker;
                     let ts1 = fields.u64(8) as i64;
                     self.reply(

@@ -55,6 +55,7 @@ impl Vehicle {
 
     /// Sends every stream that is due, and what an unfinished upload waits for.
     pub fn stream(&mut self, now: Duration) {
+        self.now = now;
         self.upload_timer(now);
         let state = self.state(now);
         for (&address, peer) in &mut self.peers {

@@ -5,6 +5,7 @@ mod missions;
 mod modes;
 mod params;
 mod rates;
+mod signing;
 mod telemetry;
 
 use std::net::SocketAddr;
@@ -338,6 +339,25 @@ fn the_last_percept_waits_for_its_acknowledgement_and_takes_no_command() {
     bench.command(2, [1.0, 0.0], TxPower::Low);
     assert!(bench.vehicle.acknowledged() && !bench.vehicle.ready());
     assert_eq!(bench.vehicle.sim.fates().sent, 2);
+}
+
+#[test]
+fn a_stream_is_greeted_at_once_may_cut_its_frames_anywhere_and_is_gone_when_it_ends() {
+    let mut bench = Bench::new();
+    let peer = bench.address.into();
+    bench.vehicle.connected(peer, bench.now);
+    assert_eq!(ids(&bench.received())[..2], [(1, 0), (68, 0)]);
+    let mut bytes = Vec::new();
+    bench.station.push(&mut bytes, &dialect::TIMESYNC_DATA { ts1: 9, ..Default::default() });
+    let mut replies = Vec::new();
+    for part in bytes.chunks(3) {
+        replies.extend(bench.datagram(part));
+    }
+    assert_eq!(ids(&replies), [(1, 111)]);
+    bench.vehicle.closed(peer);
+    bench.vehicle.beat();
+    assert!(bench.received().is_empty());
+    assert_eq!(bench.vehicle.tally().packets.frames, 1);
 }
 
 #[test]
