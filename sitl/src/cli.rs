@@ -1,7 +1,7 @@
 //! Flags to a running vehicle: what `sitl` and `gcs sitl` share.
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -11,10 +11,10 @@ use clap::{Parser, ValueEnum};
 use crate::fleet;
 use crate::link::endpoint::{Direction, Endpoint, Transport};
 use crate::link::links::Links;
+use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
 use crate::scenario::Scenario;
 use crate::shell::{Ended, Shell};
-use crate::sim::Sim;
 use crate::stats::{Histogram, Stats, Stopwatch};
 use crate::vehicle::Vehicle;
 
@@ -69,6 +69,12 @@ pub struct Args {
     /// All vehicles behind the same endpoints, told apart by their system ids
     #[arg(long)]
     pub shared: bool,
+    /// Boot with the parameters of a file (.param: NAME VALUE)
+    #[arg(long, value_name = "FILE")]
+    pub params: Option<PathBuf>,
+    /// Write all parameters that can be set to a file at the end
+    #[arg(long, value_name = "FILE")]
+    pub save_params: Option<PathBuf>,
     /// File with the key of message signing and its timestamps; a key that comes by SETUP_SIGNING is
     /// kept there
     #[arg(long, value_name = "FILE")]
@@ -140,12 +146,17 @@ impl Args {
             "--instances {count} from --sysid {}: system ids end at 255",
             self.sysid
         );
+        let (params, path) = match &self.params {
+            Some(path) => (read_params(path)?, path.display().to_string()),
+            None => (Vec::new(), String::new()),
+        };
         let vehicles = (0..count).map(|index| {
             let scenario = fleet::scenario(scenario, self.seed, index);
-            let sim = Sim::new(scenario, self.seed.wrapping_add(index as u64));
-            Vehicle::new(sim, self.sysid + index as u8, self.ticks)
+            let seed = self.seed.wrapping_add(index as u64);
+            Vehicle::boot(&scenario, seed, self.sysid + index as u8, self.ticks, &params)
+                .with_context(|| path.clone())
         });
-        Ok(vehicles.collect())
+        vehicles.collect()
     }
 
     /// The vehicles behind their endpoints, shared or each its own.
@@ -211,11 +222,20 @@ pub async fn run(args: Args) -> Result<()> {
     for (_, ended, shell) in &flown {
         tell(*ended, shell);
     }
+    if let (Some(path), Some((.., shell))) = (&args.save_params, flown.first()) {
+        let text = param_file::write(shell.vehicle().settable_params());
+        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+    }
     if args.stats {
         let (wall, cpu) = stopwatch.elapsed();
         say(&format!("stats: {}", stats(flown.iter().map(|(.., shell)| shell), wall, cpu)));
     }
     Ok(())
+}
+
+fn read_params(path: &Path) -> Result<Vec<Entry>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    param_file::parse(&text).with_context(|| path.display().to_string())
 }
 
 /// What became of the flights of a shell.
@@ -376,6 +396,20 @@ mod tests {
         let flags = ["--signing", "required", "--signing-key", "/nowhere/key"];
         assert_eq!(error(&flags), "--signing required: there is no key in /nowhere/key");
         assert!(error(&["--instances", "2", "--signing-key", "/nowhere/key"]).contains("for one vehicle"));
+
+        let path = std::env::temp_dir().join(format!("sitl-{}.param", std::process::id()));
+        let file = path.to_str().unwrap();
+        for (text, what) in [
+            ("WP_SPEED x\n", "line 1: `WP_SPEED x` is no parameter: expected a name and a number"),
+            ("WP_SPEED 10\nNO_SUCH 1\n", "line 2: there is no parameter NO_SUCH"),
+            ("WP_SPEED -1\n", "line 1: WP_SPEED = -1 is out of range"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let args = parse(&["--params", file]).unwrap();
+            let error = args.vehicles(&Scenario::default()).unwrap_err();
+            assert_eq!(one_line(&error), format!("{file}: {what}"));
+        }
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

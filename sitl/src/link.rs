@@ -12,6 +12,7 @@
 //! | [`image`] | a frame as PNG over the image transmission protocol |
 //! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
 //! | [`links`] | several endpoints at once, as one source and sink of bytes |
+//! | [`param_file`] | `.param` files |
 //! | [`signing`] | signatures, the key and its file |
 //! | [`tlog`] | the log that every MAVLink tool reads |
 
@@ -20,6 +21,7 @@ pub mod encoder;
 pub mod endpoint;
 pub mod image;
 pub mod links;
+pub mod param_file;
 pub mod signing;
 pub mod tlog;
 pub mod wire;

@@ -12,6 +12,7 @@
 //! | `files` | that there are none |
 //! | `guidance` | braking, and going to a point |
 //! | `messages` | every message that can be asked for, one row each |
+//! | `meter` | traffic, for LINK_NODE_STATUS |
 //! | `missions`, `plan` | the mission protocol; a mission as it is flown |
 //! | `modes` | mode, arming, takeoff, landing, who flies an interval |
 //! | `params` | the parameter tables of both components |
@@ -31,6 +32,7 @@ mod geodesy;
 mod guidance;
 mod height;
 mod messages;
+mod meter;
 mod missions;
 mod modes;
 mod params;
@@ -39,6 +41,8 @@ mod rates;
 mod streams;
 #[cfg(test)]
 mod tests;
+
+pub use params::ParamError;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -55,6 +59,7 @@ use crate::units::Tick;
 use battery::Battery;
 use failsafe::Watch;
 use height::Height;
+use meter::Meter;
 use missions::Upload;
 use modes::Conduct;
 use plan::Plan;
@@ -85,6 +90,7 @@ pub struct Vehicle {
     /// Datagrams of the outbox that are signed already.
     signed: VecDeque<(PeerId, Vec<u8>)>,
     signing: Signing,
+    meter: Meter,
     /// The newest `now`.
     now: Duration,
     /// `now` at the last control interval.
@@ -172,14 +178,14 @@ struct Peer {
     decoder: Decoder,
     autopilot: Encoder,
     radio: Encoder,
-    images: bool,
+    /// Pictures: with each so many control intervals.
+    images: Option<u64>,
     rates: Rates,
     /// Named by configuration: never makes room for others.
     fixed: bool,
     heard: Duration,
-    /// Bytes.
-    received: u64,
-    sent: u64,
+    /// The newest sequence number of each system and component.
+    sequences: BTreeMap<(u8, u8), u8>,
 }
 
 impl Peer {
@@ -188,12 +194,11 @@ impl Peer {
             decoder: Decoder::default(),
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
-            images: false,
+            images: None,
             rates: Rates::default(),
             fixed: false,
             heard: now,
-            received: 0,
-            sent: 0,
+            sequences: BTreeMap::new(),
         }
     }
 }
@@ -225,6 +230,7 @@ impl Vehicle {
             outbox: VecDeque::new(),
             signed: VecDeque::new(),
             signing: Signing::default(),
+            meter: Meter::default(),
             now: Duration::ZERO,
             advanced: Duration::ZERO,
             png: None,
@@ -306,7 +312,7 @@ impl Vehicle {
             self.make_room();
         }
         peer.heard = now;
-        peer.received += bytes.len() as u64;
+        self.meter.received(bytes);
         if is_new {
             self.introduce(from, peer, now);
             self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
@@ -314,6 +320,7 @@ impl Vehicle {
             self.peers.insert(from, peer);
         }
         for (packet, origin) in &packets {
+            self.count_gap(packet, from);
             self.setup_signing(packet, *origin, now);
             self.packet(packet, from, now);
         }
@@ -321,18 +328,26 @@ impl Vehicle {
 
     /// The next datagram to send, and where to.
     pub fn poll(&mut self) -> Option<(PeerId, Vec<u8>)> {
-        if let Some(signed) = self.signed.pop_front() {
-            return Some(signed);
+        if let Some((to, datagram)) = self.signed.pop_front() {
+            self.meter.sent(&datagram);
+            return Some((to, datagram));
         }
         let (to, datagram) = self.outbox.pop_front()?;
         let stamp = self.stamp();
         let datagrams = self.signing.sign(datagram, to.endpoint as u8, stamp);
         self.signed.extend(datagrams.into_iter().map(|datagram| (to, datagram)));
         let (to, datagram) = self.signed.pop_front()?;
-        if let Some(peer) = self.peers.get_mut(&to) {
-            peer.sent += datagram.len() as u64;
-        }
+        self.meter.sent(&datagram);
         Some((to, datagram))
+    }
+
+    /// Frames that are missing before this one.
+    fn count_gap(&mut self, packet: &Packet, from: PeerId) {
+        let Some(peer) = self.peers.get_mut(&from) else { return };
+        let newest = peer.sequences.insert((packet.system, packet.component), packet.sequence);
+        let gap = newest.map_or(0, |newest| packet.sequence.wrapping_sub(newest).wrapping_sub(1));
+        // Further back than forward: a late one, or a sender that begins anew.
+        self.meter.lost += u64::from(gap).checked_sub(128).map_or(u64::from(gap), |_| 0);
     }
 
     /// Now, in units of signing; 0 if nobody knows.

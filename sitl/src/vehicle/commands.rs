@@ -18,6 +18,8 @@ const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
 const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
+/// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole picture.
+pub(super) const IMAGE: f32 = 130.0;
 const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 
 impl Vehicle {
@@ -43,10 +45,10 @@ impl Vehicle {
             let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
             match packet.id {
                 dialect::PARAM_SET_DATA::ID => {
-                    self.param_set(target(4), &fields.text(6, 16), fields.f32(0), now);
+                    self.param_set(target(4), &fields.text(6, 16), fields.f32(0), asker, from, now);
                 }
                 dialect::PARAM_REQUEST_READ_DATA::ID => {
-                    self.param_read(target(2), fields.u16(0) as i16, &fields.text(4, 16), from);
+                    self.param_read(target(2), fields.u16(0) as i16, &fields.text(4, 16), asker, from);
                 }
                 dialect::PARAM_REQUEST_LIST_DATA::ID => self.param_list(target(0), from),
                 dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
@@ -127,6 +129,10 @@ impl Vehicle {
                 self.ack(ask.command, result, RADIO, asker, from);
             }
             _ if !to_autopilot && !to_radio => {}
+            CMD_REQUEST_MESSAGE if to_autopilot && first == IMAGE => {
+                self.ack(ask.command, OK, component, asker, from);
+                self.send_image(from);
+            }
             CMD_REQUEST_MESSAGE => {
                 let found = self.requested(first, component, now);
                 self.ack(ask.command, found.err().unwrap_or(OK), component, asker, from);
@@ -181,14 +187,14 @@ impl Vehicle {
         let Some(peer) = self.peers.get_mut(&from) else { return };
         match wish {
             Wish::Start => {
-                let is_new = !peer.images;
-                peer.images = true;
+                let is_new = peer.images.is_none();
+                peer.images.get_or_insert(1);
                 if is_new {
                     self.send_image(from);
                 }
             }
             Wish::Stop => {
-                peer.images = false;
+                peer.images = None;
                 let mut datagram = Vec::new();
                 image::push_stopped(&mut peer.autopilot, &mut datagram);
                 self.outbox.push_back((from, datagram));

@@ -11,6 +11,11 @@
 //! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
 //! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
 //! | GLOBAL_POSITION_INT: the local position on Earth | 33 | 1 | 4 Hz | POSITION |
+//! | ATTITUDE_QUATERNION: the same | 31 | 1 | 4 Hz | EXTRA1 |
+//! | VFR_HUD | 74 | 1 | 4 Hz | EXTRA2 |
+//! | NAV_CONTROLLER_OUTPUT: way to the point that it flies to by itself | 62 | 1 | 2 Hz | EXTRA1 |
+//! | GPS_RAW_INT: the truth, as a 3D fix | 24 | 1 | 2 Hz | EXTENDED_STATUS |
+//! | LINK_NODE_STATUS: traffic with all peers | 8 | 1 | 1 Hz | EXTRA3 |
 //! | SYS_STATUS: battery; radio packets lost | 1 | 1 | 1 Hz | EXTENDED_STATUS |
 //! | SYSTEM_TIME | 2 | 1 | 1 Hz | EXTRA3 |
 //! | EXTENDED_SYS_STATE | 245 | 1 | 1 Hz | EXTENDED_STATUS |
@@ -28,20 +33,25 @@
 use std::time::Duration;
 
 use mavlink::MessageData;
+use nalgebra::Vector2;
 
 use super::battery::Battery;
 use super::geodesy::{self, HOME};
 use super::height::Height;
 use super::modes::Conduct;
 use crate::link::dialect::{
-    self, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState, MavSysStatusSensor,
-    MavSysStatusSensorExtended, MavType, MavVtolState,
+    self, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState,
+    MavSysStatusSensor, MavSysStatusSensorExtended, MavType, MavVtolState,
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
 use crate::link::{AUTOPILOT, RADIO};
 use crate::msg::Telemetry;
 use crate::radio::Fates;
+use crate::units::Scale;
+
+/// Throttle of a hover, percent: ArduCopter's MOT_THST_HOVER is 0.35.
+const HOVER_THROTTLE: f32 = 35.0;
 
 /// What messages are made of: the vehicle at one moment.
 #[derive(Debug, Clone)]
@@ -61,6 +71,10 @@ pub(super) struct State {
     pub start: [f32; 2],
     pub battery: Battery,
     pub fates: Fates,
+    /// Where it goes by itself, paper x/y.
+    pub target: Option<Vector2<f64>>,
+    pub scale: Scale,
+    pub traffic: dialect::LINK_NODE_STATUS_DATA,
     /// Since 1970, if known.
     pub unix: Option<Duration>,
 }
@@ -84,6 +98,7 @@ pub(super) enum Group {
     ExtendedStatus = 2,
     Position = 6,
     Extra1 = 10,
+    Extra2 = 11,
     Extra3 = 12,
 }
 
@@ -166,6 +181,11 @@ pub(super) static ROWS: &[Row] = &[
     }),
     row!(ATTITUDE_DATA, Goes::Stream(4.0, Group::Extra1), attitude),
     row!(GLOBAL_POSITION_INT_DATA, Goes::Stream(4.0, Group::Position), global_position),
+    row!(ATTITUDE_QUATERNION_DATA, Goes::Stream(4.0, Group::Extra1), quaternion),
+    row!(VFR_HUD_DATA, Goes::Stream(4.0, Group::Extra2), hud),
+    row!(NAV_CONTROLLER_OUTPUT_DATA, Goes::Stream(2.0, Group::Extra1), navigation),
+    row!(GPS_RAW_INT_DATA, Goes::Stream(2.0, Group::ExtendedStatus), gps),
+    row!(LINK_NODE_STATUS_DATA, Goes::Stream(1.0, Group::Extra3), |state: &State| state.traffic.clone()),
     row!(SYS_STATUS_DATA, Goes::Stream(1.0, Group::ExtendedStatus), system_status),
     row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
     row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),
@@ -214,6 +234,68 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
 fn attitude(state: &State) -> dialect::ATTITUDE_DATA {
     let [roll, pitch] = geodesy::tilt(state.accel);
     dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
+}
+
+fn quaternion(state: &State) -> dialect::ATTITUDE_QUATERNION_DATA {
+    let [roll, pitch] = geodesy::tilt(state.accel).map(|angle| angle / 2.0);
+    dialect::ATTITUDE_QUATERNION_DATA {
+        time_boot_ms: state.boot_ms(),
+        q1: roll.cos() * pitch.cos(),
+        q2: roll.sin() * pitch.cos(),
+        q3: roll.cos() * pitch.sin(),
+        q4: -roll.sin() * pitch.sin(),
+        ..Default::default()
+    }
+}
+
+/// The air stands still: speed over the ground is speed through the air. Throttle is lift and tilt's.
+fn hud(state: &State) -> dialect::VFR_HUD_DATA {
+    let [north, east] = state.report.velocity;
+    let speed = north.hypot(east);
+    let [roll, pitch] = geodesy::tilt(state.accel);
+    let throttle = if state.conduct.armed { HOVER_THROTTLE / (roll.cos() * pitch.cos()) } else { 0.0 };
+    dialect::VFR_HUD_DATA {
+        airspeed: speed,
+        groundspeed: speed,
+        alt: (HOME[2] + state.height.altitude_m) as f32,
+        climb: state.height.climb_mps as f32,
+        heading: 0,
+        throttle: throttle.min(100.0) as u16,
+    }
+}
+
+fn navigation(state: &State) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
+    let [roll, pitch] = geodesy::tilt(state.accel);
+    let target = state.target.map_or(state.report.position, |target| state.scale.ned_from_paper(target));
+    let [north, east] = [0, 1].map(|axis| target[axis] - state.report.position[axis]);
+    let bearing = east.atan2(north).to_degrees().round() as i16;
+    dialect::NAV_CONTROLLER_OUTPUT_DATA {
+        nav_roll: roll.to_degrees(),
+        nav_pitch: pitch.to_degrees(),
+        nav_bearing: bearing,
+        target_bearing: bearing,
+        wp_dist: north.hypot(east).min(f32::from(u16::MAX)) as u16,
+        ..Default::default()
+    }
+}
+
+fn gps(state: &State) -> dialect::GPS_RAW_INT_DATA {
+    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [north, east] = state.report.velocity;
+    let course = east.atan2(north).to_degrees().rem_euclid(360.0);
+    dialect::GPS_RAW_INT_DATA {
+        time_usec: u64::from(state.boot_ms()) * 1000,
+        lat,
+        lon,
+        alt: millimetres(HOME[2] + state.height.altitude_m),
+        eph: 100,
+        epv: 100,
+        vel: (north.hypot(east) * 100.0) as u16,
+        cog: (course * 100.0) as u16,
+        fix_type: GpsFixType::GPS_FIX_TYPE_3D_FIX,
+        satellites_visible: 10,
+        ..Default::default()
+    }
 }
 
 fn global_position(state: &State) -> dialect::GLOBAL_POSITION_INT_DATA {

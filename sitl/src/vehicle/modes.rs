@@ -344,6 +344,16 @@ impl Vehicle {
         })
     }
 
+    /// Where the vehicle is going by itself, if anywhere, paper x/y.
+    pub(super) fn target(&self) -> Option<Vector2<f64>> {
+        match self.conduct.mode {
+            Mode::Guided => self.conduct.destination,
+            Mode::Return => Some(self.sim.scenario().start),
+            Mode::Auto => self.plan.place().and_then(|place| self.inside(place)),
+            Mode::Loiter | Mode::Land | Mode::Brake => None,
+        }
+    }
+
     /// Height, arrival and touch-down after an interval.
     pub(super) fn rise_and_land(&mut self, now: Duration) {
         let scenario = self.sim.scenario();

@@ -1,35 +1,45 @@
 //! The parameter protocol over two tables: the autopilot's (component 1) and the radio's (68).
 //! Values are cast to float as in C, as the capabilities say.
 //!
-//! | parameter | from | unit | written |
-//! |---|---|---|---|
-//! | `SYSID_THISMAV` | 1 | | no |
-//! | `RATE_ATTITUDE`, `_GLOBAL`, `_STATUS`, `_TIME`, `_EXTENDED`, `_BATTERY`, `_HOME` | 1 | Hz, 0 to 50 | yes: the default of every peer's stream, at once for all |
-//! | `RADIO_RULE` | 1 | 0 ideal, 1 drop, 2 queue | no |
-//! | `RADIO_B_DT`, `RADIO_PKT_BITS` | 1 | bits an interval and bit/s/Hz; bits | no |
-//! | `CHAN_REF_GAIN`, `CHAN_PL_EXP`, `CHAN_NLOS`, `CHAN_NOISE`, `CHAN_SNR_MIN` | 1 | the paper's | no |
-//! | `DYN_V_MAX`, `DYN_A_MAX`, `DYN_WALLS` | 1 | m/s; m/s²; 0 or 1 | no |
-//! | `WIND_KICK` | 1 | m/s, standard deviation an interval and axis | no |
-//! | `UAV_RADIUS`, `OBST_RADIUS`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS` | 1 | m | no |
-//! | `SCALE_UNIT_M`, `SCALE_DT_S`, `SCALE_ALT_M` | 1 | m; s; m | no |
-//! | `RADIO_TXP` | 68 | 1 or 4 | yes |
+//! | parameter | unit | takes effect |
+//! |---|---|---|
+//! | `SYSID_THISMAV` | | read only |
+//! | `RATE_*` | Hz, 0 to 50 | at once: the default of every peer's stream, in real time |
+//! | `FS_SETP_ACT`, `FS_STN_ACT` | 0 hold, 1 brake, 2 return | at once |
+//! | `FS_SETP_TIME`, `FS_STN_TIME` | s | at once |
+//! | `WP_SPEED`, `WP_RADIUS`, `CLIMB_SPEED` | m/s, m, m/s | at once |
+//! | `SIGN_REQUIRED` | 0 or 1 | at once |
+//! | `RADIO_RULE` | 0 ideal, 1 drop, 2 queue | at boot |
+//! | `RADIO_B_DT`, `RADIO_PKT_BITS` | bits an interval and bit/s/Hz; bits | at boot |
+//! | `CHAN_REF_GAIN`, `CHAN_PL_EXP`, `CHAN_NLOS`, `CHAN_NOISE`, `CHAN_SNR_MIN` | the paper's | at boot |
+//! | `DYN_V_MAX`, `DYN_A_MAX`, `DYN_WALLS` | m/s; m/s²; 0 or 1 | at boot |
+//! | `WIND_KICK` | m/s, standard deviation an interval and axis | at boot |
+//! | `UAV_RADIUS`, `OBST_RADIUS`, `OBST_N`, `OBST_E` | m | at boot |
+//! | `START_N`, `START_E`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS` | m | at boot |
+//! | `SCALE_UNIT_M`, `SCALE_DT_S`, `SCALE_ALT_M` | m; s; m | read only |
+//! | `STAT_*` | frames and bytes that came, by what became of them; setpoints | read only, and change by themselves |
+//! | `RADIO_TXP`, of component 68 | 1 or 4 | at once |
 //!
-//! A PARAM_SET is always answered to all peers with the value that now holds: the old one if the new
-//! one is not finite, out of range, or the parameter only to be read (a flight's scenario is fixed).
-//! Unknown names and indices are met with silence, as ArduPilot does. A request to component 0 is
-//! answered by both.
+//! "At boot" is the next start with `--params`: a flight's physics is fixed, and `--save-params` keeps
+//! what was set. A PARAM_SET is always answered to all peers with the value that now holds: the old one
+//! if the new one is not finite, out of range, or the parameter read only. Unknown names and indices
+//! are answered by PARAM_ERROR, as ArduPilot and PX4 do. A request to component 0 is answered by both.
 
 use std::time::Duration;
 
 use mavlink::MessageData;
 
 use super::Vehicle;
-use crate::link::dialect::{self, MavParamType};
+use crate::link::decoder::Counts;
+use crate::link::dialect::{self, MavParamError, MavParamType};
 use crate::link::encoder::DATAGRAM;
+use crate::link::param_file::Entry;
+use crate::link::signing::Policy;
 use crate::link::wire::Target;
 use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::msg::TxPower;
-use crate::scenario::{Rule, Scenario};
+use crate::scenario::{Action, Rule, Scenario};
+use crate::sim::Sim;
 
 /// A parameter's place in its component's table, its name and what it holds.
 struct Param {
@@ -38,13 +48,23 @@ struct Param {
     holds: Holds,
 }
 
+type Get = fn(&Scenario) -> f64;
+type Set = fn(&mut Scenario, f64);
+
 enum Holds {
     System,
     /// The default rate of the message with this id.
     Rate(u32),
     TxPower,
-    /// A value of the scenario.
-    Of(fn(&Scenario) -> f64),
+    SignRequired,
+    /// A number of the tally.
+    Count(fn(&Counts) -> u64),
+    Setpoints,
+    RefusedSetpoints,
+    /// A value of the scenario to be read.
+    Of(Get),
+    /// A value of the scenario; whoever reads it decides whether it takes effect before the next boot.
+    Setting(Get, Set),
 }
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
@@ -55,46 +75,128 @@ const fn rate(name: &'static str, id: u32) -> Param {
     Param { name, kind: REAL, holds: Holds::Rate(id) }
 }
 
-const fn of(name: &'static str, kind: MavParamType, value: fn(&Scenario) -> f64) -> Param {
-    Param { name, kind, holds: Holds::Of(value) }
+const fn of(name: &'static str, get: Get) -> Param {
+    Param { name, kind: REAL, holds: Holds::Of(get) }
+}
+
+const fn real(name: &'static str, get: Get, set: Set) -> Param {
+    Param { name, kind: REAL, holds: Holds::Setting(get, set) }
+}
+
+const fn int(name: &'static str, get: Get, set: Set) -> Param {
+    Param { name, kind: INT, holds: Holds::Setting(get, set) }
+}
+
+const fn count(name: &'static str, get: fn(&Counts) -> u64) -> Param {
+    Param { name, kind: INT, holds: Holds::Count(get) }
 }
 
 static OF_AUTOPILOT: &[Param] = &[
     Param { name: "SYSID_THISMAV", kind: INT, holds: Holds::System },
     rate("RATE_ATTITUDE", dialect::ATTITUDE_DATA::ID),
+    rate("RATE_QUATERNION", dialect::ATTITUDE_QUATERNION_DATA::ID),
     rate("RATE_GLOBAL", dialect::GLOBAL_POSITION_INT_DATA::ID),
+    rate("RATE_HUD", dialect::VFR_HUD_DATA::ID),
+    rate("RATE_NAV", dialect::NAV_CONTROLLER_OUTPUT_DATA::ID),
+    rate("RATE_GPS", dialect::GPS_RAW_INT_DATA::ID),
     rate("RATE_STATUS", dialect::SYS_STATUS_DATA::ID),
     rate("RATE_TIME", dialect::SYSTEM_TIME_DATA::ID),
     rate("RATE_EXTENDED", dialect::EXTENDED_SYS_STATE_DATA::ID),
+    rate("RATE_MISSION", dialect::MISSION_CURRENT_DATA::ID),
+    rate("RATE_LINK", dialect::LINK_NODE_STATUS_DATA::ID),
     rate("RATE_BATTERY", dialect::BATTERY_STATUS_DATA::ID),
     rate("RATE_HOME", dialect::HOME_POSITION_DATA::ID),
-    of("RADIO_RULE", INT, |s| match s.radio.rule {
-        Rule::Ideal => 0.0,
-        Rule::Drop => 1.0,
-        Rule::Queue => 2.0,
-    }),
-    of("RADIO_B_DT", REAL, |s| s.radio.b_dt),
-    of("RADIO_PKT_BITS", REAL, |s| s.radio.packet_bits),
-    of("CHAN_REF_GAIN", REAL, |s| s.channel.reference_gain),
-    of("CHAN_PL_EXP", REAL, |s| s.channel.path_loss_exponent),
-    of("CHAN_NLOS", REAL, |s| s.channel.nlos_attenuation),
-    of("CHAN_NOISE", REAL, |s| s.channel.noise_power),
-    of("CHAN_SNR_MIN", REAL, |s| s.channel.snr_min),
-    of("DYN_V_MAX", REAL, |s| s.dynamics.v_max * s.scale.mps_per_speed()),
-    of("DYN_A_MAX", REAL, |s| s.dynamics.a_max * s.scale.mps_per_speed() / s.scale.interval_s),
-    of("DYN_WALLS", INT, |s| f64::from(u8::from(s.dynamics.walls))),
-    of("WIND_KICK", REAL, |s| s.disturbance.kick() * s.scale.mps_per_speed()),
-    of("UAV_RADIUS", REAL, |s| s.uav_radius * s.scale.metres_per_unit),
-    of("OBST_RADIUS", REAL, |s| s.obstacle.radius * s.scale.metres_per_unit),
-    of("GOAL_N", REAL, |s| s.goal.y * s.scale.metres_per_unit),
-    of("GOAL_E", REAL, |s| s.goal.x * s.scale.metres_per_unit),
-    of("GOAL_RADIUS", REAL, |s| s.goal_radius * s.scale.metres_per_unit),
-    of("SCALE_UNIT_M", REAL, |s| s.scale.metres_per_unit),
-    of("SCALE_DT_S", REAL, |s| s.scale.interval_s),
-    of("SCALE_ALT_M", REAL, |s| s.scale.altitude_m),
+    int(
+        "FS_SETP_ACT",
+        |s| number(s.failsafe.setpoint_action),
+        |s, v| set_action(&mut s.failsafe.setpoint_action, v),
+    ),
+    real("FS_SETP_TIME", |s| s.failsafe.setpoint_timeout_s, |s, v| s.failsafe.setpoint_timeout_s = v),
+    int(
+        "FS_STN_ACT",
+        |s| number(s.failsafe.station_action),
+        |s, v| set_action(&mut s.failsafe.station_action, v),
+    ),
+    real("FS_STN_TIME", |s| s.failsafe.station_timeout_s, |s, v| s.failsafe.station_timeout_s = v),
+    real("WP_SPEED", |s| s.autopilot.speed_mps, |s, v| s.autopilot.speed_mps = v),
+    real("WP_RADIUS", |s| s.autopilot.acceptance_m, |s, v| s.autopilot.acceptance_m = v),
+    real("CLIMB_SPEED", |s| s.autopilot.climb_mps, |s, v| s.autopilot.climb_mps = v),
+    Param { name: "SIGN_REQUIRED", kind: INT, holds: Holds::SignRequired },
+    int(
+        "RADIO_RULE",
+        |s| RULES.iter().position(|&rule| rule == s.radio.rule).unwrap_or(0) as f64,
+        |s, v| {
+            s.radio.rule = RULES.get(v as usize).copied().unwrap_or(s.radio.rule);
+        },
+    ),
+    real("RADIO_B_DT", |s| s.radio.b_dt, |s, v| s.radio.b_dt = v),
+    real("RADIO_PKT_BITS", |s| s.radio.packet_bits, |s, v| s.radio.packet_bits = v),
+    real("CHAN_REF_GAIN", |s| s.channel.reference_gain, |s, v| s.channel.reference_gain = v),
+    real("CHAN_PL_EXP", |s| s.channel.path_loss_exponent, |s, v| s.channel.path_loss_exponent = v),
+    real("CHAN_NLOS", |s| s.channel.nlos_attenuation, |s, v| s.channel.nlos_attenuation = v),
+    real("CHAN_NOISE", |s| s.channel.noise_power, |s, v| s.channel.noise_power = v),
+    real("CHAN_SNR_MIN", |s| s.channel.snr_min, |s, v| s.channel.snr_min = v),
+    real(
+        "DYN_V_MAX",
+        |s| s.dynamics.v_max * s.scale.mps_per_speed(),
+        |s, v| s.dynamics.v_max = v / s.scale.mps_per_speed(),
+    ),
+    real(
+        "DYN_A_MAX",
+        |s| s.dynamics.a_max * s.scale.mps_per_speed() / s.scale.interval_s,
+        |s, v| s.dynamics.a_max = v * s.scale.interval_s / s.scale.mps_per_speed(),
+    ),
+    int("DYN_WALLS", |s| f64::from(u8::from(s.dynamics.walls)), |s, v| s.dynamics.walls = v != 0.0),
+    real(
+        "WIND_KICK",
+        |s| s.disturbance.kick() * s.scale.mps_per_speed(),
+        |s, v| s.disturbance.sigma_c = v / s.scale.mps_per_speed() / s.disturbance.noise_gain,
+    ),
+    real("UAV_RADIUS", |s| metres(s, s.uav_radius), |s, v| s.uav_radius = units(s, v)),
+    real("OBST_RADIUS", |s| metres(s, s.obstacle.radius), |s, v| s.obstacle.radius = units(s, v)),
+    real("OBST_N", |s| metres(s, s.obstacle.position.y), |s, v| s.obstacle.position.y = units(s, v)),
+    real("OBST_E", |s| metres(s, s.obstacle.position.x), |s, v| s.obstacle.position.x = units(s, v)),
+    real("START_N", |s| metres(s, s.start.y), |s, v| s.start.y = units(s, v)),
+    real("START_E", |s| metres(s, s.start.x), |s, v| s.start.x = units(s, v)),
+    real("GOAL_N", |s| metres(s, s.goal.y), |s, v| s.goal.y = units(s, v)),
+    real("GOAL_E", |s| metres(s, s.goal.x), |s, v| s.goal.x = units(s, v)),
+    real("GOAL_RADIUS", |s| metres(s, s.goal_radius), |s, v| s.goal_radius = units(s, v)),
+    of("SCALE_UNIT_M", |s| s.scale.metres_per_unit),
+    of("SCALE_DT_S", |s| s.scale.interval_s),
+    of("SCALE_ALT_M", |s| s.scale.altitude_m),
+    count("STAT_RX_FRAMES", |c| c.frames),
+    count("STAT_RX_BADCRC", |c| c.bad_crc),
+    count("STAT_RX_TRUNC", |c| c.truncated),
+    count("STAT_RX_UNKNOWN", |c| c.unknown),
+    count("STAT_RX_V1", |c| c.mavlink1),
+    count("STAT_RX_INCOMP", |c| c.incompatible),
+    count("STAT_RX_GARBAGE", |c| c.garbage_bytes),
+    Param { name: "STAT_SETPOINTS", kind: INT, holds: Holds::Setpoints },
+    Param { name: "STAT_SETP_REFD", kind: INT, holds: Holds::RefusedSetpoints },
 ];
 
 static OF_RADIO: &[Param] = &[Param { name: "RADIO_TXP", kind: REAL, holds: Holds::TxPower }];
+
+/// In the order of their numbers.
+const RULES: [Rule; 3] = [Rule::Ideal, Rule::Drop, Rule::Queue];
+const ACTIONS: [Action; 3] = [Action::Hold, Action::Brake, Action::Return];
+
+fn number(action: Action) -> f64 {
+    ACTIONS.iter().position(|&known| known == action).unwrap_or(0) as f64
+}
+
+/// A number that is no action's changes nothing, and is refused by that.
+fn set_action(action: &mut Action, number: f64) {
+    *action = ACTIONS.get(number as usize).copied().unwrap_or(*action);
+}
+
+fn metres(scenario: &Scenario, units: f64) -> f64 {
+    units * scenario.scale.metres_per_unit
+}
+
+fn units(scenario: &Scenario, metres: f64) -> f64 {
+    metres / scenario.scale.metres_per_unit
+}
 
 fn table(component: u8) -> &'static [Param] {
     if component == RADIO { OF_RADIO } else { OF_AUTOPILOT }
@@ -104,11 +206,83 @@ fn position(component: u8, name: &str) -> Option<usize> {
     table(component).iter().position(|param| param.name == name)
 }
 
+/// Why a parameter of a file is not taken.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParamError {
+    /// There is none of this name.
+    #[error("line {line}: there is no parameter {name}")]
+    Unknown {
+        /// Its line in the file, from 1.
+        line: usize,
+        /// Its name.
+        name: String,
+    },
+    /// Its value is out of range.
+    #[error("line {line}: {name} = {value} is out of range")]
+    Range {
+        /// Its line in the file, from 1.
+        line: usize,
+        /// Its name.
+        name: String,
+        /// The value.
+        value: f32,
+    },
+}
+
 impl Vehicle {
+    /// A vehicle that boots with these parameters: those that take effect at boot, too.
+    pub fn boot(
+        scenario: &Scenario,
+        seed: u64,
+        system: u8,
+        ticks: Option<u64>,
+        params: &[Entry],
+    ) -> Result<Self, ParamError> {
+        let mut trial = Self::new(Sim::new(scenario.clone(), seed), system, ticks);
+        trial.load_params(params)?;
+        let mut vehicle = Self::new(Sim::new(trial.settings, seed), system, ticks);
+        vehicle.load_params(params)?;
+        Ok(vehicle)
+    }
+
+    /// Sets the parameters of a file; what is read only is left alone.
+    fn load_params(&mut self, params: &[Entry]) -> Result<(), ParamError> {
+        for Entry { line, name, value } in params {
+            let (line, name, value) = (*line, name.clone(), *value);
+            let found =
+                [AUTOPILOT, RADIO].into_iter().find_map(|c| position(c, &name).map(|index| &table(c)[index]));
+            let Some(param) = found else { return Err(ParamError::Unknown { line, name }) };
+            if !self.assign(param, value, Duration::ZERO) {
+                return Err(ParamError::Range { line, name, value });
+            }
+        }
+        Ok(())
+    }
+
+    /// All parameters that can be set, with their present values, the radio's last.
+    #[must_use]
+    pub fn settable_params(&self) -> Vec<(&'static str, f32)> {
+        let params = OF_AUTOPILOT.iter().chain(OF_RADIO);
+        params
+            .filter(|param| param.is_settable())
+            .map(|param| (param.name, self.value(param) as f32))
+            .collect()
+    }
+
     /// PARAM_SET.
-    pub(super) fn param_set(&mut self, target: Target, name: &str, value: f32, now: Duration) {
+    pub(super) fn param_set(
+        &mut self,
+        target: Target,
+        name: &str,
+        value: f32,
+        asker: (u8, u8),
+        from: PeerId,
+        now: Duration,
+    ) {
+        let mut known = false;
         for component in self.meant(target) {
             let Some(index) = position(component, name) else { continue };
+            known = true;
             self.assign(&table(component)[index], value, now);
             let told = self.param_value(component, index);
             for (&address, peer) in &mut self.peers {
@@ -117,15 +291,47 @@ impl Vehicle {
                 self.outbox.push_back((address, datagram));
             }
         }
+        if !known {
+            self.no_param(target, -1, name, asker, from);
+        }
     }
 
     /// PARAM_REQUEST_READ: by index, or by name if the index is -1.
-    pub(super) fn param_read(&mut self, target: Target, index: i16, name: &str, from: PeerId) {
+    pub(super) fn param_read(
+        &mut self,
+        target: Target,
+        index: i16,
+        name: &str,
+        asker: (u8, u8),
+        from: PeerId,
+    ) {
+        let mut found = false;
         for component in self.meant(target) {
             let index = if index == -1 { position(component, name) } else { usize::try_from(index).ok() };
             let known = index.filter(|&index| index < table(component).len());
+            found |= known.is_some();
             self.tell_params(component, known, from);
         }
+        if !found {
+            self.no_param(target, index, name, asker, from);
+        }
+    }
+
+    /// PARAM_ERROR: none of the components that were asked has such a parameter.
+    fn no_param(&mut self, target: Target, param_index: i16, name: &str, asker: (u8, u8), to: PeerId) {
+        let Some(component) = self.meant(target).next() else { return };
+        let (target_system, target_component) = asker;
+        let error = dialect::PARAM_ERROR_DATA {
+            param_index,
+            target_system,
+            target_component,
+            param_id: name.into(),
+            error: MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+        };
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let mut datagram = Vec::new();
+        peer.encoder(component).push(&mut datagram, &error);
+        self.outbox.push_back((to, datagram));
     }
 
     /// PARAM_REQUEST_LIST.
@@ -155,14 +361,8 @@ impl Vehicle {
     fn param_value(&self, component: u8, index: usize) -> dialect::PARAM_VALUE_DATA {
         let params = table(component);
         let param = &params[index];
-        let value = match param.holds {
-            Holds::System => f64::from(self.system),
-            Holds::Rate(id) => self.default_hz(id),
-            Holds::TxPower => self.sim.power().level(),
-            Holds::Of(value) => value(self.sim.scenario()),
-        };
         dialect::PARAM_VALUE_DATA {
-            param_value: value as f32,
+            param_value: self.value(param) as f32,
             param_count: params.len() as u16,
             param_index: index as u16,
             param_id: param.name.into(),
@@ -170,8 +370,31 @@ impl Vehicle {
         }
     }
 
-    /// Takes a value if the parameter can have it.
-    fn assign(&mut self, param: &Param, value: f32, now: Duration) {
+    fn value(&self, param: &Param) -> f64 {
+        match param.holds {
+            Holds::System => f64::from(self.system),
+            Holds::Rate(id) => self.default_hz(id),
+            Holds::TxPower => self.sim.power().level(),
+            Holds::SignRequired => f64::from(u8::from(self.signing.policy() == Policy::Required)),
+            Holds::Count(get) => get(&self.tally().packets) as f64,
+            Holds::Setpoints => self.tally.setpoints as f64,
+            Holds::RefusedSetpoints => self.tally.refused.values().sum::<u64>() as f64,
+            Holds::Of(get) | Holds::Setting(get, _) => get(&self.settings),
+        }
+    }
+
+    /// Takes a value if the parameter can have it. Whether it holds that value now, or is read only.
+    fn assign(&mut self, param: &Param, value: f32, now: Duration) -> bool {
+        if !param.is_settable() {
+            return true;
+        }
+        // What it has already is not set again: a float is narrower than what the scenario holds.
+        if self.value(param) as f32 == value {
+            return true;
+        }
+        if !value.is_finite() || param.kind == INT && value.fract() != 0.0 {
+            return false;
+        }
         match param.holds {
             Holds::Rate(id) if (0.0..=50.0).contains(&value) => self.set_default_hz(id, value.into(), now),
             Holds::TxPower => {
@@ -179,7 +402,27 @@ impl Vehicle {
                     self.sim.set_power(power);
                 }
             }
+            Holds::SignRequired if value == 0.0 => self.signing.set_policy(Policy::Optional),
+            Holds::SignRequired if value == 1.0 => self.signing.set_policy(Policy::Required),
+            Holds::Setting(_, set) if value >= 0.0 => self.set_setting(set, value),
             _ => {}
         }
+        self.value(param) as f32 == value
+    }
+
+    /// Changes the settings if what comes out is a scenario.
+    fn set_setting(&mut self, set: Set, value: f32) {
+        let mut settings = self.settings.clone();
+        set(&mut settings, value.into());
+        let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
+        if settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6) {
+            self.settings = settings;
+        }
+    }
+}
+
+impl Param {
+    fn is_settable(&self) -> bool {
+        matches!(self.holds, Holds::Rate(_) | Holds::TxPower | Holds::SignRequired | Holds::Setting(..))
     }
 }

@@ -228,6 +228,11 @@ impl Plan {
         self.current
     }
 
+    /// The current item's point, north and east, m.
+    pub fn place(&self) -> Option<[f32; 2]> {
+        self.items.get(usize::from(self.current)).and_then(Item::place)
+    }
+
     /// Goes on with that item, if there is one.
     pub fn go_to(&mut self, seq: u16) -> bool {
         if usize::from(seq) >= self.items.len() {

@@ -8,6 +8,7 @@
 //! | a percept's message, at -1 | DENIED: it goes with every control interval |
 //! | a percept's message, faster than the control interval | ACCEPTED: beside the percept |
 //! | a percept's message, slower | ACCEPTED: the percept has it as often already |
+//! | DATA_TRANSMISSION_HANDSHAKE (130) | pictures: 0 with every control interval, -1 none, else at least so far apart |
 //! | HEARTBEAT | ACCEPTED at 0 and 1 s, else DENIED |
 //! | GET_MESSAGE_INTERVAL | MESSAGE_INTERVAL (us, -1 for none), then ACCEPTED; unknown: 0, then DENIED |
 //! | REQUEST_MESSAGE | ACCEPTED, then the message; unknown: DENIED; the radio's before tick 1: TEMPORARILY_REJECTED |
@@ -17,9 +18,10 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use super::Vehicle;
+use super::commands::IMAGE;
 use super::messages::{self, Goes, ROWS, Row};
-use crate::link::PeerId;
 use crate::link::dialect::{self, MavResult};
+use crate::link::{AUTOPILOT, PeerId};
 
 /// The shortest interval of a stream: 50 Hz.
 const SHORTEST_US: f32 = 20_000.0;
@@ -129,8 +131,11 @@ impl Vehicle {
         from: PeerId,
         now: Duration,
     ) -> MavResult {
-        let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
         let control = self.control_interval();
+        if number == IMAGE && component == AUTOPILOT {
+            return self.set_image_interval(us, control, from);
+        }
+        let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
         let every = match us {
             0.0 => self.default_interval(row),
             -1.0 if row.goes == Goes::Percept => return MavResult::MAV_RESULT_DENIED,
@@ -151,17 +156,44 @@ impl Vehicle {
         MavResult::MAV_RESULT_ACCEPTED
     }
 
+    /// The rate of pictures: with every control interval, or with each so many.
+    fn set_image_interval(&mut self, us: f32, control: Duration, from: PeerId) -> MavResult {
+        let every = match us {
+            0.0 => Some(1),
+            -1.0 => None,
+            us if (1.0..i32::MAX as f32).contains(&us) => {
+                Some((f64::from(us) / 1e6 / control.as_secs_f64() - 1e-6).ceil().max(1.0) as u64)
+            }
+            _ => return MavResult::MAV_RESULT_DENIED,
+        };
+        if let Some(peer) = self.peers.get_mut(&from) {
+            peer.images = every;
+        }
+        MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    fn image_interval_us(&self, from: PeerId) -> i32 {
+        let every = self.peers.get(&from).and_then(|peer| peer.images);
+        let us = every.map(|every| every as u128 * self.control_interval().as_micros());
+        us.map_or(-1, |us| i32::try_from(us).unwrap_or(i32::MAX))
+    }
+
     /// GET_MESSAGE_INTERVAL: tells the interval; gives the result to acknowledge.
     pub(super) fn tell_interval(&mut self, number: f32, component: u8, from: PeerId) -> MavResult {
+        let is_image = number == IMAGE && component == AUTOPILOT;
         let row = row(number, component);
         let message_id = row.map_or(number as u16, |row| row.id as u16);
-        let interval_us = row.map_or(0, |row| self.interval_us(row, from));
+        let interval_us = match row {
+            _ if is_image => self.image_interval_us(from),
+            Some(row) => self.interval_us(row, from),
+            None => 0,
+        };
         let Some(peer) = self.peers.get_mut(&from) else { return MavResult::MAV_RESULT_FAILED };
         let mut datagram = Vec::new();
         peer.encoder(component)
             .push(&mut datagram, &dialect::MESSAGE_INTERVAL_DATA { interval_us, message_id });
         self.outbox.push_back((from, datagram));
-        if row.is_some() { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED }
+        if row.is_some() || is_image { MavResult::MAV_RESULT_ACCEPTED } else { MavResult::MAV_RESULT_DENIED }
     }
 
     fn interval_us(&self, row: &Row, peer: PeerId) -> i32 {

@@ -29,7 +29,9 @@ impl Vehicle {
     pub fn send_percept(&mut self) {
         for address in self.addresses() {
             let mut datagrams = vec![self.telemetry_datagram(address)];
-            datagrams.extend(self.image_datagrams(address));
+            if self.picture_is_due(address) {
+                datagrams.extend(self.image_datagrams(address));
+            }
             let turn = self.sendings % datagrams.len();
             datagrams.rotate_left(turn);
             self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
@@ -56,6 +58,7 @@ impl Vehicle {
     /// Sends every stream that is due, and what an unfinished upload waits for.
     pub fn stream(&mut self, now: Duration) {
         self.now = now;
+        self.meter.measure(now);
         self.upload_timer(now);
         let state = self.state(now);
         for (&address, peer) in &mut self.peers {
@@ -83,6 +86,9 @@ impl Vehicle {
             system_status: self.system_status(),
             mission: self.plan.status(self.conduct.mode == Mode::Auto),
             launch: self.launch(),
+            target: self.target(),
+            scale: scenario.scale,
+            traffic: self.meter.status(&self.tally().packets, now),
             start: scenario.scale.ned_from_paper(scenario.start),
             accel: scenario.scale.ned_from_paper_acceleration(flown),
             battery: self.battery,
@@ -110,7 +116,13 @@ impl Vehicle {
         self.outbox.push_back((address, report));
     }
 
-    /// Sends this tick's picture to one peer, if it has asked for pictures.
+    /// Whether a peer gets the picture of this tick.
+    fn picture_is_due(&self, address: PeerId) -> bool {
+        let every = self.peers.get(&address).and_then(|peer| peer.images);
+        every.is_some_and(|every| self.sim.tick().0.is_multiple_of(every))
+    }
+
+    /// Sends this tick's picture to one peer.
     pub(super) fn send_image(&mut self, address: PeerId) {
         let datagrams = self.image_datagrams(address);
         self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
@@ -164,7 +176,7 @@ impl Vehicle {
     }
 
     fn image_datagrams(&mut self, address: PeerId) -> Vec<Vec<u8>> {
-        let Some(peer) = self.peers.get_mut(&address).filter(|peer| peer.images) else { return Vec::new() };
+        let Some(peer) = self.peers.get_mut(&address) else { return Vec::new() };
         let sim = &self.sim;
         let png = self.png.get_or_insert_with(|| {
             image::png_from_frame(&sim.frame(), sim.tick())

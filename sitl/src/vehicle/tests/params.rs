@@ -48,8 +48,14 @@ fn the_list_is_whole_and_in_order_and_each_is_read_by_name_and_index() {
     for (index, param) in all.iter().enumerate() {
         assert_eq!((param.0, usize::from(param.3), usize::from(param.4)), (1, index, all.len()));
         assert!(param.1.len() <= 16 && !all[..index].iter().any(|other| other.1 == param.1), "{}", param.1);
-        assert_eq!(read(&mut bench, index as i16, ""), std::slice::from_ref(param));
-        assert_eq!(read(&mut bench, -1, &param.1), std::slice::from_ref(param));
+        // The counters count these requests too.
+        let same = |told: Vec<Told>| {
+            let [(component, name, value, at, count)] = &told[..] else { panic!("one value") };
+            (*component, name.as_str(), *at, *count) == (1, param.1.as_str(), param.3, param.4)
+                && (*value == param.2 || name.starts_with("STAT_"))
+        };
+        assert!(same(read(&mut bench, index as i16, "")), "{param:?}");
+        assert!(same(read(&mut bench, -1, &param.1)), "{param:?}");
     }
     let value = |name: &str| all.iter().find(|param| param.1 == name).map(|param| param.2);
     assert_eq!(value("SYSID_THISMAV"), Some(7.0));
@@ -60,16 +66,44 @@ fn the_list_is_whole_and_in_order_and_each_is_read_by_name_and_index() {
     assert_eq!(both.last().map(|param| (param.0, param.1.as_str())), Some((68, "RADIO_TXP")));
 }
 
+/// The error that a request is answered with, and by whom.
+fn error(packets: &[Packet]) -> Option<(u8, dialect::MavParamError)> {
+    let [packet] = packets else { return None };
+    match packet.message()? {
+        MavMessage::PARAM_ERROR(error) => {
+            assert_eq!((error.target_system, error.target_component), (255, 190));
+            Some((packet.component, error.error))
+        }
+        _ => None,
+    }
+}
+
 #[test]
-fn what_is_unknown_is_met_with_silence() {
+fn what_is_unknown_is_told_to_the_asker_and_what_is_for_others_is_left_to_them() {
     let mut bench = Bench::new();
     bench.hello();
     let count = list(&mut bench, 1).len() as i16;
+    let none = Some((1, dialect::MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST));
+    let ask = |param_index, name: &str, target_component| dialect::PARAM_REQUEST_READ_DATA {
+        param_index,
+        target_system: 7,
+        target_component,
+        param_id: name.into(),
+    };
     for index in [count, i16::MAX, -2, i16::MIN] {
-        assert_eq!(read(&mut bench, index, "SYSID_THISMAV"), []);
+        assert_eq!(error(&bench.send(&ask(index, "SYSID_THISMAV", 1))), none);
     }
-    assert_eq!(read(&mut bench, -1, "NO_SUCH"), []);
-    assert_eq!(set(&mut bench, "NO_SUCH", 1.0), []);
+    assert_eq!(error(&bench.send(&ask(-1, "NO_SUCH", 1))), none);
+    assert_eq!(error(&bench.send(&ask(-1, "NO_SUCH", 0))), none, "one answer for both components");
+    assert!(bench.send(&ask(-1, "NO_SUCH", 42)).is_empty());
+    let set = dialect::PARAM_SET_DATA {
+        param_value: 1.0,
+        target_system: 7,
+        target_component: 68,
+        param_id: "NO_SUCH".into(),
+        param_type: dialect::MavParamType::MAV_PARAM_TYPE_REAL32,
+    };
+    assert_eq!(error(&bench.send(&set)).map(|found| found.0), Some(68));
     assert_eq!(list(&mut bench, 42), []);
 }
 
@@ -79,7 +113,16 @@ fn what_cannot_be_set_is_answered_with_the_old_value() {
     bench.hello();
     for (name, values, old) in [
         ("SYSID_THISMAV", [9.0, f32::NAN], 7.0),
-        ("DYN_V_MAX", [1.0, f32::INFINITY], 50.0),
+        ("DYN_V_MAX", [-1.0, f32::INFINITY], 50.0),
+        ("DYN_V_MAX", [0.0, 1.0], 50.0),
+        ("SCALE_UNIT_M", [1.0, f32::NAN], 500.0),
+        ("STAT_RX_BADCRC", [1.0, f32::NAN], 0.0),
+        ("RADIO_RULE", [3.0, 0.5], 1.0),
+        ("FS_SETP_ACT", [3.0, -1.0], 0.0),
+        ("FS_SETP_TIME", [0.0, f32::NAN], 3.0),
+        ("WP_SPEED", [51.0, 0.0], 20.0),
+        ("SIGN_REQUIRED", [2.0, f32::NAN], 0.0),
+        ("GOAL_E", [501.0, -1.0], 450.0),
         ("RATE_ATTITUDE", [f32::NAN, f32::NEG_INFINITY], 4.0),
         ("RATE_ATTITUDE", [-1.0, 51.0], 4.0),
     ] {
@@ -111,4 +154,58 @@ fn in_lockstep_a_rate_waits_for_real_time() {
     bench.hello();
     assert_eq!(set(&mut bench, "RATE_ATTITUDE", 20.0)[0].2, 20.0);
     assert_eq!(bench.vehicle.next_stream(), None);
+}
+
+#[test]
+fn a_failsafe_is_set_in_flight_and_a_radio_at_boot() {
+    let mut bench = Bench::new();
+    bench.hello();
+    assert_eq!(set(&mut bench, "FS_SETP_ACT", 1.0)[0].2, 1.0);
+    assert_eq!(bench.vehicle.settings.failsafe.setpoint_action, crate::scenario::Action::Brake);
+    assert_eq!(set(&mut bench, "RADIO_B_DT", 2.5)[0].2, 2.5);
+    assert_eq!(bench.vehicle.sim.scenario().radio.b_dt, 4.0, "the flight goes on as it began");
+    let params = bench.vehicle.settable_params();
+    let file = crate::link::param_file::parse(&crate::link::param_file::write(params.clone())).unwrap();
+    let again = Vehicle::boot(&Scenario::default(), 1, 7, None, &file).unwrap();
+    assert_eq!(again.sim.scenario().radio.b_dt, 2.5);
+    assert_eq!(again.settable_params(), params);
+    let mut expected = Scenario::default();
+    expected.radio.b_dt = 2.5;
+    expected.failsafe.setpoint_action = crate::scenario::Action::Brake;
+    assert_eq!(*again.sim.scenario(), expected, "what was not changed is what it was, to the last bit");
+}
+
+#[test]
+fn every_parameter_that_can_be_set_takes_another_value_and_keeps_it() {
+    let mut bench = Bench::new();
+    bench.hello();
+    for (name, value) in bench.vehicle.settable_params() {
+        let component = if name == "RADIO_TXP" { 68 } else { 1 };
+        let other = match (name, value) {
+            ("RADIO_TXP", _) => 4.0,
+            (_, 0.0) => 1.0,
+            ("DYN_WALLS", _) => 0.0,
+            ("RADIO_RULE", _) => 2.0,
+            _ => value * 1.0625,
+        };
+        let reply = bench.send(&dialect::PARAM_SET_DATA {
+            param_value: other,
+            target_system: 7,
+            target_component: component,
+            param_id: name.into(),
+            param_type: dialect::MavParamType::MAV_PARAM_TYPE_REAL32,
+        });
+        assert_eq!(told(&reply).first().map(|param| param.2), Some(other), "{name} from {value}");
+    }
+}
+
+#[test]
+fn counters_can_be_read() {
+    let mut bench = Bench::new();
+    bench.hello();
+    bench.datagram(b"junk!");
+    bench.send(&setpoint(0, f32::NAN));
+    assert_eq!(read(&mut bench, -1, "STAT_RX_GARBAGE")[0].2, 5.0);
+    assert_eq!(read(&mut bench, -1, "STAT_SETP_REFD")[0].2, 1.0);
+    assert_eq!(read(&mut bench, -1, "STAT_RX_FRAMES")[0].2, 5.0);
 }

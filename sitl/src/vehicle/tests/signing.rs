@@ -1,7 +1,7 @@
 //! Message signing, as peers meet it.
 
 use super::*;
-use crate::link::signing::{Key, Policy};
+use crate::link::signing::{self, Key, Policy};
 
 const PLACE: usize = 2;
 
@@ -60,6 +60,7 @@ fn another_key_needs_the_old_one_and_zeros_turn_it_off() {
     bench.hello();
     bench.send(&setup(key().bytes()));
     let other = setup([3; 32]);
+    bench.now += Duration::from_secs(2);
     let refused = bench.send(&other);
     assert!(texts(&refused).contains(&"signing: unsigned key refused".to_owned()));
     assert!(bench.vehicle.signing.is_on());
