@@ -10,11 +10,11 @@ const SAMPLE: Duration = Duration::from_millis(20);
 
 /// Measures `work`, which does `units` of something a call, and prints the rate in `unit` per second:
 /// the median, and the 10th and 90th percentile of the samples. Without cargo's `--bench` flag it only
-/// calls `work` once.
-pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) {
+/// calls `work` once. Gives the median.
+pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) -> Option<f64> {
     work();
     if !std::env::args().any(|arg| arg == "--bench") {
-        return;
+        return None;
     }
     let mut calls = 1u32;
     while timed(calls, &mut work) < SAMPLE {
@@ -26,6 +26,7 @@ pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) {
     samples.sort_by(f64::total_cmp);
     let at = |part: f64| samples[(part * (SAMPLES - 1) as f64).round() as usize];
     println!("{name:<28} {:>12.0} {unit}/s   [{:.0} .. {:.0}]", at(0.5), at(0.1), at(0.9));
+    Some(at(0.5))
 }
 
 fn timed(calls: u32, work: &mut impl FnMut()) -> Duration {
