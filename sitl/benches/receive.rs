@@ -8,8 +8,7 @@ use std::hint::black_box;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use mavlink::Message;
-use mavlink::peek_reader::PeekReader;
+use mavlink::{MavlinkReader, Message};
 use sitl::link::decoder::Decoder;
 use sitl::link::dialect::{self, MavMessage};
 use sitl::link::encoder::Encoder;
@@ -56,7 +55,13 @@ fn traffic() -> Vec<Vec<u8>> {
             ),
             4 => other.push(
                 &mut datagram,
-                &dialect::GLOBAL_POSITION_INT_DATA { lat: k as i32, lon: 7, alt: 9, hdg: 1, ..Default::default() },
+                &dialect::GLOBAL_POSITION_INT_DATA {
+                    lat: k as i32,
+                    lon: 7,
+                    alt: 9,
+                    hdg: 1,
+                    ..Default::default()
+                },
             ),
             _ => other.push(
                 &mut datagram,
@@ -70,11 +75,14 @@ fn traffic() -> Vec<Vec<u8>> {
 
 fn receive() {
     let datagrams = traffic();
+    // One reader over all of it: one a datagram would cost the crate an allocation each.
+    let stream = datagrams.concat();
     let crate_alone = rate::rate("bare crate, typed", "frames", MESSAGES as u64, || {
-        for datagram in &datagrams {
-            let mut reader = PeekReader::new(&datagram[..]);
-            let found = mavlink::read_v2_msg::<MavMessage, _>(&mut reader);
-            black_box(found.expect("a good frame").1.message_id());
+        let mut reader = MavlinkReader::new(&stream[..]);
+        for _ in 0..MESSAGES {
+            let (_, message) =
+                reader.read_message::<MavMessage>(mavlink::MavlinkVersion::V2).expect("a good frame");
+            black_box(message.message_id());
         }
     });
     let decoder = rate::rate("decoder", "frames", MESSAGES as u64, || {
@@ -148,7 +156,10 @@ fn round_trip() {
         trips.add(start.elapsed());
     }
     let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|part| trips.percentile(part).as_micros());
-    println!("TIMESYNC round trip, µs      p50 {p50}, p99 {p99}, p99.9 {p999}, max {}", trips.largest().as_micros());
+    println!(
+        "TIMESYNC round trip, µs      p50 {p50}, p99 {p99}, p99.9 {p999}, max {}",
+        trips.largest().as_micros()
+    );
 }
 
 fn lockstep(pictures: bool) {

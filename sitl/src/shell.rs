@@ -270,3 +270,64 @@ async fn until(instant: Option<Instant>) {
         None => std::future::pending().await,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpStream;
+
+    use super::*;
+    use crate::link::decoder::{Decoder, Packet};
+    use crate::link::dialect;
+    use crate::link::encoder::Encoder;
+    use crate::{Scenario, Sim};
+
+    fn question(system: u8) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        let ask = dialect::TIMESYNC_DATA { ts1: 7, target_system: system, ..Default::default() };
+        Encoder::new(255, 190).push(&mut datagram, &ask);
+        datagram
+    }
+
+    /// The systems that have answered, once one has.
+    fn answers(packets: &[Packet]) -> Vec<u8> {
+        packets.iter().filter(|p| p.is::<dialect::TIMESYNC_DATA>()).map(|p| p.system).collect()
+    }
+
+    #[tokio::test]
+    async fn vehicles_that_share_endpoints_answer_for_themselves_by_udp_and_tcp() {
+        let endpoints = ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"].map(|text| text.parse().unwrap());
+        let links = Links::open(&endpoints).await.unwrap();
+        let vehicles = [1, 2].map(|system| Vehicle::new(Sim::new(Scenario::default(), 1), system, None));
+        let mut shell = Shell::over(links, vehicles.into());
+        let told: Vec<SocketAddr> =
+            shell.describe().iter().map(|line| line.split_once(':').unwrap().1.parse().unwrap()).collect();
+        let flight = tokio::spawn(async move { shell.real_time(Duration::from_millis(50)).await });
+
+        let patience = Duration::from_secs(30);
+        let (mut buffer, mut decoder) = (vec![0; BUFFER], Decoder::default());
+        let udp = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        udp.send_to(&question(2), told[0]).await.unwrap();
+        let found = loop {
+            let length = tokio::time::timeout(patience, udp.recv(&mut buffer)).await.unwrap().unwrap();
+            let found = answers(&decoder.datagram(&buffer[..length]));
+            if !found.is_empty() {
+                break found;
+            }
+        };
+        assert_eq!(found, [2]);
+
+        let mut tcp = TcpStream::connect(told[1]).await.unwrap();
+        tcp.write_all(&question(1)).await.unwrap();
+        let mut decoder = Decoder::of_stream();
+        let found = loop {
+            let length = tokio::time::timeout(patience, tcp.read(&mut buffer)).await.unwrap().unwrap();
+            let found = answers(&decoder.datagram(&buffer[..length]));
+            if !found.is_empty() {
+                break found;
+            }
+        };
+        assert_eq!(found, [1]);
+        flight.abort();
+    }
+}

@@ -48,7 +48,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use crate::link::decoder::{Counts, Decoder, Packet};
-use crate::link::dialect::MavSeverity;
+use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::Encoder;
 use crate::link::signing::{self, Origin, Rejection, Signing};
 use crate::link::wire::{Clock, Refusal, Target};
@@ -289,39 +289,52 @@ impl Vehicle {
     pub fn datagram(&mut self, bytes: &[u8], from: impl Into<PeerId>, now: Duration) {
         let from = from.into();
         self.now = now;
-        let known = self.peers.remove(&from);
-        let is_new = known.is_none();
-        let mut peer = known.unwrap_or_else(|| Peer::new(self.system, now));
+        self.meter.received(bytes);
+        let Some(peer) = self.peers.get_mut(&from) else { return self.stranger(bytes, from, now) };
+        peer.heard = now;
         let before = peer.decoder.counts();
+        let packets = peer.decoder.datagram(bytes);
+        let counts = peer.decoder.counts();
+        if counts.is_worse_than(&before) {
+            tracing::trace!(%from, "{counts}");
+        }
+        let stamp = self.stamp();
+        for packet in &packets {
+            if let Ok(origin) = self.signing.check(packet, stamp) {
+                self.take(packet, origin, from, now);
+            }
+        }
+    }
+
+    /// A datagram of somebody who has not been heard before.
+    fn stranger(&mut self, bytes: &[u8], from: PeerId, now: Duration) {
+        let mut peer = Peer::new(self.system, now);
         let stamp = self.stamp();
         let packets = peer.decoder.datagram(bytes).into_iter();
         let packets: Vec<(Packet, Origin)> = packets
-            .filter_map(|packet| self.signing.check(&packet, stamp).ok().map(|o| (packet, o)))
+            .filter_map(|packet| self.signing.check(&packet, stamp).ok().map(|origin| (packet, origin)))
             .collect();
         // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
         // hears MAVLink 2.
         let begins = peer.decoder.counts().mavlink1 > 0 && !self.signing.is_required();
-        if is_new && packets.is_empty() && !begins {
+        if packets.is_empty() && !begins {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }
-        if before != peer.decoder.counts() {
-            tracing::trace!(%from, "{}", peer.decoder.counts());
-        }
-        if is_new {
-            self.make_room();
-        }
-        peer.heard = now;
-        self.meter.received(bytes);
-        if is_new {
-            self.introduce(from, peer, now);
-            self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
-        } else {
-            self.peers.insert(from, peer);
-        }
+        self.make_room();
+        self.introduce(from, peer, now);
+        self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
         for (packet, origin) in &packets {
-            self.count_gap(packet, from);
-            self.setup_signing(packet, *origin, now);
+            self.take(packet, *origin, from, now);
+        }
+    }
+
+    /// A frame that signing has nothing against.
+    fn take(&mut self, packet: &Packet, origin: Origin, from: PeerId, now: Duration) {
+        self.count_gap(packet, from);
+        if packet.is::<dialect::SETUP_SIGNING_DATA>() {
+            self.setup_signing(packet, origin, now);
+        } else {
             self.packet(packet, from, now);
         }
     }

@@ -65,7 +65,8 @@ def main(address):
     assert set_(link, "RATE_ATTITUDE", 8.0) == 8.0 and read(link, "RATE_ATTITUDE") == 8.0
     for bad in (math.nan, math.inf, -math.inf, -1.0, 1e9):
         assert set_(link, "RATE_ATTITUDE", bad) == 8.0, f"took {bad}"
-    assert set_(link, "GOAL_N", 1.0) == ours["GOAL_N"].param_value, "a flight's goal is fixed"
+    assert set_(link, "SCALE_UNIT_M", 1.0) == ours["SCALE_UNIT_M"].param_value, "read only"
+    assert set_(link, "GOAL_N", 200.0) == 200.0, "for the next boot"
     for bad in (math.nan, 2.0):
         assert set_(link, "RADIO_TXP", bad, RADIO) in (1.0, 4.0), f"took {bad}"
     assert set_(link, "RADIO_TXP", 4.0, RADIO) == 4.0

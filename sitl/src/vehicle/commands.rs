@@ -7,7 +7,7 @@ use mavlink::MessageData;
 use super::modes::{self, Mode};
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
-use crate::link::dialect::{self, MavResult, MavSeverity};
+use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
@@ -28,13 +28,14 @@ impl Vehicle {
         if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO) {
             return;
         }
-        if packet.system != self.system {
-            self.watch.arrived();
-        }
         let asker = (packet.system, packet.component);
         let fields = packet.fields();
+        if packet.is::<dialect::HEARTBEAT_DATA>() && fields.u8(4) == MavType::MAV_TYPE_GCS as u8 {
+            self.watch.arrived();
+        }
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
             if target.is(self.system, AUTOPILOT) {
+                self.watch.arrived();
                 self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
@@ -121,6 +122,9 @@ impl Vehicle {
 
     fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: PeerId, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
+        if to_autopilot || to_radio {
+            self.watch.arrived();
+        }
         let component = if to_autopilot { AUTOPILOT } else { RADIO };
         let [first, second, ..] = ask.params;
         match ask.command {

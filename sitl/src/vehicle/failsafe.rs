@@ -6,7 +6,8 @@
 //! | of setpoints | in GUIDED, once one has got through | `hold`: the last action for ever, as in the paper; `brake`: to a stop, and on with the next setpoint; `return`: RTL |
 //! | of stations | armed, once one was heard | `hold`; `brake`: BRAKE; `return`: RTL |
 //!
-//! A packet in an outage was not heard. Each loss and each end of one is told by STATUSTEXT; while an
+//! A station is heard by its HEARTBEAT (type GCS), and by setpoints and commands to this vehicle; other
+//! vehicles on the same link are none. A packet in an outage was not heard. Each loss and each end of one is told by STATUSTEXT; while an
 //! action other than `hold` is under way the heartbeat says CRITICAL. Setpoint time-outs are seconds
 //! of flight; those of stations are seconds on the wall, because heartbeats come by the wall, and in
 //! lockstep, where setpoints are the clock, seconds of flight too.
@@ -23,7 +24,7 @@ use crate::scenario::Action;
 pub(super) struct Watch {
     setpoints: Silence,
     stations: Silence,
-    /// Something of a station has arrived since the last interval.
+    /// A station has said something since the last interval.
     arrived: bool,
 }
 
@@ -64,7 +65,7 @@ impl Silence {
 }
 
 impl Watch {
-    /// A station has sent something.
+    /// A station has said something.
     pub fn arrived(&mut self) {
         self.arrived = true;
     }

@@ -1,6 +1,7 @@
 //! The vehicle as its peers meet it; what they can ask for is in the modules below.
 
 mod files;
+mod junk;
 mod missions;
 mod modes;
 mod params;
@@ -75,7 +76,7 @@ impl Bench {
     }
 
     fn hello(&mut self) -> Vec<Packet> {
-        self.send(&dialect::HEARTBEAT_DATA::default())
+        self.send(&dialect::HEARTBEAT_DATA { mavtype: dialect::MavType::MAV_TYPE_GCS, ..Default::default() })
     }
 }
 

@@ -316,6 +316,12 @@ mod failsafes {
             let said = pass(&mut bench, 14);
             assert!(said[0].starts_with("failsafe: no station for 5 s"), "{said:?}");
             assert_eq!(heartbeat(&mut bench), (number, true, CRITICAL));
+            let other = dialect::HEARTBEAT_DATA {
+                mavtype: dialect::MavType::MAV_TYPE_QUADROTOR,
+                ..Default::default()
+            };
+            bench.send(&other);
+            assert!(pass(&mut bench, 1).is_empty(), "another vehicle is no station");
             bench.hello();
             assert_eq!(pass(&mut bench, 1), ["station heard again"]);
             assert_eq!(heartbeat(&mut bench), (number, true, ACTIVE), "the mode stays");
