@@ -6,13 +6,13 @@ Linux on x86_64 or aarch64 may need. A version without a wheel for one of them i
 
 import hashlib
 import pathlib
-import re
 import subprocess
 import sys
 import tempfile
 
 PACKAGES = {
     "duckdb": "1.5.6",  # reads a sweep's Parquet
+    "dronekit2": "3.0.0",
     "fastcrc": "0.5.0",  # pymavlink's checksums
     "lxml": "6.1.3",  # pymavlink's
     "mavproxy": "1.8.75",
@@ -50,7 +50,7 @@ def main():
             for machine in MACHINES:
                 download(python, machine, folder)
         for wheel in pathlib.Path(folder).iterdir():
-            name = re.match("[a-z]+", wheel.name.lower())[0]
+            name = wheel.name.split("-")[0].lower()
             hashes[name].add(hashlib.sha256(wheel.read_bytes()).hexdigest())
     lines = [
         f"{name}=={version}" + "".join(f" \\\n    --hash=sha256:{digest}" for digest in sorted(hashes[name]))

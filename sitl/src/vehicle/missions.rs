@@ -2,7 +2,8 @@
 //! good; how items are flown is in [`plan`].
 //!
 //! As with ArduPilot, item 0 of a mission is home: whatever is uploaded there is answered, on
-//! download, with the vehicle's own home, and flying begins with item 1.
+//! download, with the vehicle's own home, and flying begins with item 1. Without a mission the list is
+//! home alone.
 //!
 //! | asked, of the autopilot | answered to the asker |
 //! |---|---|
@@ -118,7 +119,8 @@ impl Vehicle {
         }
         match packet.id {
             dialect::MISSION_REQUEST_LIST_DATA::ID => {
-                let count = self.plan.items().len() as u16;
+                // Home is there before any mission is. DroneKit waits for it.
+                let count = self.plan.items().len().max(1) as u16;
                 self.tell_count(count, MISSION, asker, from);
             }
             dialect::MISSION_REQUEST_INT_DATA::ID | dialect::MISSION_REQUEST_DATA::ID => {
@@ -180,10 +182,10 @@ impl Vehicle {
     }
 
     fn tell_item(&mut self, seq: u16, as_int: bool, asker: (u8, u8), to: PeerId) {
-        let Some(item) = self.plan.items().get(usize::from(seq)) else {
+        let home = (seq == 0).then(|| Item::home(self.launch()));
+        let Some(item) = home.or_else(|| self.plan.items().get(usize::from(seq)).copied()) else {
             return self.mission_ack(MavMissionResult::MAV_MISSION_INVALID_SEQUENCE, MISSION, asker, to);
         };
-        let item = if seq == 0 { Item::home(self.launch()) } else { *item };
         let current = u8::from(seq == self.plan.current());
         if as_int {
             self.reply(to, &item.as_int(seq, current, asker));

@@ -1,5 +1,7 @@
 //! `sitl` as a stranger meets it: pymavlink flies it, in real time, over UDP.
 
+use std::fs;
+
 use tests::{program, python};
 
 /// Runs a script against a vehicle of its own.
@@ -32,4 +34,30 @@ fn pymavlink_is_answered() {
 #[test]
 fn pymavlink_has_a_mission_flown() {
     agrees("missions.py");
+}
+
+/// A vehicle without a key is given one, signs, and answers nobody who does not; after a restart it
+/// still knows the key, and what it heard before. The key itself is nowhere but in its file.
+#[test]
+fn pymavlink_and_the_vehicle_sign() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (key_file, frame, params) = (at("key.toml"), at("frame"), at("saved.param"));
+    let key: String = (0u8..32).map(|byte| format!("{:02x}", byte.wrapping_mul(37) ^ 0xA5)).collect();
+    for again in [&[][..], &["again"]] {
+        let flags = ["--speedup", "4", "--signing-key", &key_file, "--save-params", &params];
+        let (sitl, address) = program::sitl(&flags).unwrap();
+        let args = [&[address.to_string().as_str(), &key, &frame], again].concat();
+        let said = python::script("signing.py", &args).unwrap().good().unwrap();
+        assert!(said.ends_with("ok"), "{said}");
+        sitl.interrupt().unwrap();
+        let ended = sitl.wait().unwrap();
+        for refused in ["unsigned", "wrong signature", "replayed", "too old"] {
+            assert!(ended.stderr.contains(&format!("refused: {refused}")), "{}", ended.stderr);
+        }
+        let params = fs::read_to_string(&params).unwrap();
+        let told = [ended.stdout, ended.stderr, params].concat().to_lowercase();
+        assert!(!told.contains(&key), "the key is told:\n{told}");
+    }
+    assert!(fs::read_to_string(&key_file).unwrap().contains(&key));
 }
