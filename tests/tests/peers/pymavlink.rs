@@ -47,7 +47,8 @@ fn pymavlink_and_the_vehicle_sign() {
     for again in [&[][..], &["again"]] {
         let flags = ["--speedup", "4", "--signing-key", &key_file, "--save-params", &params];
         let (sitl, address) = program::sitl(&flags).unwrap();
-        let args = [&[address.to_string().as_str(), &key, &frame], again].concat();
+        let address = address.to_string();
+        let args = [&[address.as_str(), &key, &frame], again].concat();
         let said = python::script("signing.py", &args).unwrap().good().unwrap();
         assert!(said.ends_with("ok"), "{said}");
         sitl.interrupt().unwrap();
