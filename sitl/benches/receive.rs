@@ -77,34 +77,39 @@ fn receive() {
     let datagrams = traffic();
     // One reader over all of it: one a datagram would cost the crate an allocation each.
     let stream = datagrams.concat();
-    let crate_alone = rate::rate("bare crate, typed", "frames", MESSAGES as u64, || {
+    let mut bare = || {
         let mut reader = MavlinkReader::new(&stream[..]);
         for _ in 0..MESSAGES {
-            let (_, message) =
-                reader.read_message::<MavMessage>(mavlink::MavlinkVersion::V2).expect("a good frame");
+            let version = mavlink::MavlinkVersion::V2;
+            let (_, message) = reader.read_message::<MavMessage>(version).expect("a good frame");
             black_box(message.message_id());
         }
-    });
-    let decoder = rate::rate("decoder", "frames", MESSAGES as u64, || {
+    };
+    let mut decoded = || {
         let mut decoder = Decoder::default();
         for datagram in &datagrams {
             black_box(decoder.datagram(datagram));
         }
         assert_eq!(decoder.counts().frames, MESSAGES as u64);
-    });
+    };
     let from: SocketAddr = ([127, 0, 0, 1], 5000).into();
-    let whole = rate::rate("vehicle, whole receive path", "frames", MESSAGES as u64, || {
+    let mut handled = || {
         let mut vehicle = Vehicle::new(Sim::new(Scenario::default(), 1), 1, None);
         for datagram in &datagrams {
             vehicle.datagram(datagram, from, Duration::ZERO);
         }
         assert_eq!(vehicle.tally().packets.frames, MESSAGES as u64);
         black_box(vehicle);
-    });
-    if let (Some(bare), Some(decoder), Some(whole)) = (crate_alone, decoder, whole) {
-        println!("decoder / crate              {:>12.2}", decoder / bare);
-        println!("vehicle / crate              {:>12.2}", whole / bare);
-    }
+    };
+    rate::compare(
+        "frames",
+        MESSAGES as u64,
+        &mut [
+            ("bare crate, typed", &mut bare),
+            ("decoder", &mut decoded),
+            ("vehicle, whole receive path", &mut handled),
+        ],
+    );
 }
 
 /// A vehicle on a port of its own in a thread of its own; gives its address.

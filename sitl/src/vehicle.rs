@@ -67,6 +67,8 @@ use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
 const MAX_PEERS: usize = 16;
+/// Systems and components behind one peer whose sequence numbers are followed.
+const MAX_SENDERS: usize = 32;
 /// Least time between two texts of one kind.
 const TEXT_PAUSE: Duration = Duration::from_secs(1);
 
@@ -185,7 +187,7 @@ struct Peer {
     fixed: bool,
     heard: Duration,
     /// The newest sequence number of each system and component.
-    sequences: BTreeMap<(u8, u8), u8>,
+    sequences: Vec<((u8, u8), u8)>,
 }
 
 impl Peer {
@@ -198,12 +200,27 @@ impl Peer {
             rates: Rates::default(),
             fixed: false,
             heard: now,
-            sequences: BTreeMap::new(),
+            sequences: Vec::new(),
         }
     }
 }
 
 impl Peer {
+    /// Frames that are missing before this one.
+    fn gap(&mut self, packet: &Packet) -> u64 {
+        let from = (packet.system, packet.component);
+        let Some((_, newest)) = self.sequences.iter_mut().find(|(sender, _)| *sender == from) else {
+            if self.sequences.len() < MAX_SENDERS {
+                self.sequences.push((from, packet.sequence));
+            }
+            return 0;
+        };
+        let gap = packet.sequence.wrapping_sub(*newest).wrapping_sub(1);
+        *newest = packet.sequence;
+        // Further back than forward: a late one, or a sender that begins anew.
+        if gap < 128 { gap.into() } else { 0 }
+    }
+
     /// The component that speaks to this peer: the radio, else the autopilot.
     fn encoder(&mut self, component: u8) -> &mut Encoder {
         if component == RADIO { &mut self.radio } else { &mut self.autopilot }
@@ -292,12 +309,9 @@ impl Vehicle {
         self.meter.received(bytes);
         let Some(peer) = self.peers.get_mut(&from) else { return self.stranger(bytes, from, now) };
         peer.heard = now;
-        let before = peer.decoder.counts();
         let packets = peer.decoder.datagram(bytes);
-        let counts = peer.decoder.counts();
-        if counts.is_worse_than(&before) {
-            tracing::trace!(%from, "{counts}");
-        }
+        tracing::trace!(%from, "{}", peer.decoder.counts());
+        self.meter.lost += packets.iter().map(|packet| peer.gap(packet)).sum::<u64>();
         let stamp = self.stamp();
         for packet in &packets {
             if let Ok(origin) = self.signing.check(packet, stamp) {
@@ -331,7 +345,6 @@ impl Vehicle {
 
     /// A frame that signing has nothing against.
     fn take(&mut self, packet: &Packet, origin: Origin, from: PeerId, now: Duration) {
-        self.count_gap(packet, from);
         if packet.is::<dialect::SETUP_SIGNING_DATA>() {
             self.setup_signing(packet, origin, now);
         } else {
@@ -352,15 +365,6 @@ impl Vehicle {
         let (to, datagram) = self.signed.pop_front()?;
         self.meter.sent(&datagram);
         Some((to, datagram))
-    }
-
-    /// Frames that are missing before this one.
-    fn count_gap(&mut self, packet: &Packet, from: PeerId) {
-        let Some(peer) = self.peers.get_mut(&from) else { return };
-        let newest = peer.sequences.insert((packet.system, packet.component), packet.sequence);
-        let gap = newest.map_or(0, |newest| packet.sequence.wrapping_sub(newest).wrapping_sub(1));
-        // Further back than forward: a late one, or a sender that begins anew.
-        self.meter.lost += u64::from(gap).checked_sub(128).map_or(u64::from(gap), |_| 0);
     }
 
     /// Now, in units of signing; 0 if nobody knows.

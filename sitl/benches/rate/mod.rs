@@ -10,11 +10,12 @@ const SAMPLE: Duration = Duration::from_millis(20);
 
 /// Measures `work`, which does `units` of something a call, and prints the rate in `unit` per second:
 /// the median, and the 10th and 90th percentile of the samples. Without cargo's `--bench` flag it only
-/// calls `work` once. Gives the median.
-pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) -> Option<f64> {
+/// calls `work` once.
+#[allow(dead_code, reason = "each bench is a program of its own, and not all use it")]
+pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) {
     work();
     if !std::env::args().any(|arg| arg == "--bench") {
-        return None;
+        return;
     }
     let mut calls = 1u32;
     while timed(calls, &mut work) < SAMPLE {
@@ -26,10 +27,36 @@ pub fn rate(name: &str, unit: &str, units: u64, mut work: impl FnMut()) -> Optio
     samples.sort_by(f64::total_cmp);
     let at = |part: f64| samples[(part * (SAMPLES - 1) as f64).round() as usize];
     println!("{name:<28} {:>12.0} {unit}/s   [{:.0} .. {:.0}]", at(0.5), at(0.1), at(0.9));
-    Some(at(0.5))
 }
 
-fn timed(calls: u32, work: &mut impl FnMut()) -> Duration {
+/// The same for several kinds of work that do the same `units`, sample by sample in turn, so that what
+/// else the machine does meets all alike. Gives how fast each is beside the first: the median over the
+/// rounds.
+#[allow(dead_code, reason = "each bench is a program of its own, and not all compare")]
+pub fn compare(unit: &str, units: u64, works: &mut [(&str, &mut dyn FnMut())]) -> Vec<f64> {
+    works.iter_mut().for_each(|(_, work)| work());
+    if !std::env::args().any(|arg| arg == "--bench") {
+        return Vec::new();
+    }
+    let mut rounds: Vec<Vec<f64>> = Vec::new();
+    for _ in 0..SAMPLES {
+        let each = works.iter_mut().map(|(_, work)| units as f64 / timed(1, work).as_secs_f64());
+        rounds.push(each.collect());
+    }
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    let ratios = (0..works.len()).map(|k| median(rounds.iter().map(|round| round[k] / round[0]).collect()));
+    let ratios: Vec<f64> = ratios.collect();
+    for (k, (name, _)) in works.iter().enumerate() {
+        let rate = median(rounds.iter().map(|round| round[k]).collect());
+        println!("{name:<28} {rate:>12.0} {unit}/s   {:.2} of the first", ratios[k]);
+    }
+    ratios
+}
+
+fn timed(calls: u32, work: &mut (impl FnMut() + ?Sized)) -> Duration {
     let start = Instant::now();
     for _ in 0..calls {
         work();

@@ -126,12 +126,6 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Whether anything but good frames has been added.
-    #[must_use]
-    pub fn is_worse_than(&self, before: &Self) -> bool {
-        Self { frames: 0, ..*self } != Self { frames: 0, ..*before }
-    }
-
     /// The sum of both.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
