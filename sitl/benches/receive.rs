@@ -86,9 +86,11 @@ fn receive() {
         }
     };
     let mut decoded = || {
-        let mut decoder = Decoder::default();
+        let (mut decoder, mut packets) = (Decoder::default(), Vec::new());
         for datagram in &datagrams {
-            black_box(decoder.datagram(datagram));
+            decoder.datagram_into(datagram, &mut packets);
+            black_box(&packets);
+            packets.clear();
         }
         assert_eq!(decoder.counts().frames, MESSAGES as u64);
     };

@@ -6,6 +6,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
+//! | [`crc`] | the checksum of frames |
 //! | [`decoder`] | datagrams to packets, through garbage, bad CRCs and frames cut in two |
 //! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
 //! | [`wire`] | the table "our message, theirs", both directions |
@@ -16,6 +17,7 @@
 //! | [`signing`] | signatures, the key and its file |
 //! | [`tlog`] | the log that every MAVLink tool reads |
 
+pub mod crc;
 pub mod decoder;
 pub mod encoder;
 pub mod endpoint;

@@ -93,6 +93,8 @@ pub struct Vehicle {
     signed: VecDeque<(PeerId, Vec<u8>)>,
     signing: Signing,
     meter: Meter,
+    /// Memory for the packets of a datagram.
+    scratch: Vec<Packet>,
     /// The newest `now`.
     now: Duration,
     /// `now` at the last control interval.
@@ -248,6 +250,7 @@ impl Vehicle {
             signed: VecDeque::new(),
             signing: Signing::default(),
             meter: Meter::default(),
+            scratch: Vec::new(),
             now: Duration::ZERO,
             advanced: Duration::ZERO,
             png: None,
@@ -309,7 +312,8 @@ impl Vehicle {
         self.meter.received(bytes);
         let Some(peer) = self.peers.get_mut(&from) else { return self.stranger(bytes, from, now) };
         peer.heard = now;
-        let packets = peer.decoder.datagram(bytes);
+        let mut packets = std::mem::take(&mut self.scratch);
+        peer.decoder.datagram_into(bytes, &mut packets);
         tracing::trace!(%from, "{}", peer.decoder.counts());
         self.meter.lost += packets.iter().map(|packet| peer.gap(packet)).sum::<u64>();
         let stamp = self.stamp();
@@ -318,6 +322,8 @@ impl Vehicle {
                 self.take(packet, origin, from, now);
             }
         }
+        packets.clear();
+        self.scratch = packets;
     }
 
     /// A datagram of somebody who has not been heard before.

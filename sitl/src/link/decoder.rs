@@ -6,9 +6,11 @@
 //! Signatures are stepped over, not checked: [`super::signing`] does that.
 
 use std::borrow::Cow;
+use std::ops::{Deref, DerefMut};
 
-use mavlink::{Message, MessageData, calculate_crc};
+use mavlink::{Message, MessageData};
 
+use super::crc::checksum;
 use super::dialect::MavMessage;
 
 const MAGIC_V1: u8 = 0xFE;
@@ -28,8 +30,60 @@ pub struct Packet {
     /// Message id.
     pub id: u32,
     /// The whole frame, from its magic byte to its checksum or signature.
-    pub raw: Vec<u8>,
+    pub raw: Raw,
 }
+
+/// The longest frame that is kept without an allocation: all but pictures, texts and parameters' files.
+const SHORT: usize = 64;
+
+/// A frame's bytes.
+#[derive(Debug, Clone)]
+pub struct Raw(Kept);
+
+#[derive(Debug, Clone)]
+enum Kept {
+    Short(u8, [u8; SHORT]),
+    Long(Box<[u8]>),
+}
+
+impl From<&[u8]> for Raw {
+    fn from(frame: &[u8]) -> Self {
+        if frame.len() > SHORT {
+            return Self(Kept::Long(frame.into()));
+        }
+        let mut bytes = [0; SHORT];
+        bytes[..frame.len()].copy_from_slice(frame);
+        Self(Kept::Short(frame.len() as u8, bytes))
+    }
+}
+
+impl Deref for Raw {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match &self.0 {
+            Kept::Short(length, bytes) => &bytes[..usize::from(*length)],
+            Kept::Long(bytes) => bytes,
+        }
+    }
+}
+
+impl DerefMut for Raw {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        match &mut self.0 {
+            Kept::Short(length, bytes) => &mut bytes[..usize::from(*length)],
+            Kept::Long(bytes) => bytes,
+        }
+    }
+}
+
+impl PartialEq for Raw {
+    fn eq(&self, other: &Self) -> bool {
+        **self == **other
+    }
+}
+
+impl Eq for Raw {}
 
 impl Packet {
     /// The payload as it came: zeros at its end may have been cut.
@@ -194,10 +248,16 @@ impl Decoder {
 
     /// The good frames of a datagram, or of a part of a stream, in order.
     pub fn datagram(&mut self, bytes: &[u8]) -> Vec<Packet> {
+        let mut packets = Vec::new();
+        self.datagram_into(bytes, &mut packets);
+        packets
+    }
+
+    /// The same, appended to `packets`, whose memory can then be used again.
+    pub fn datagram_into(&mut self, bytes: &[u8], packets: &mut Vec<Packet>) {
         let tail = std::mem::take(&mut self.tail);
         let joined = !tail.is_empty();
         let buffer = if joined { Cow::Owned([&tail, bytes].concat()) } else { Cow::Borrowed(bytes) };
-        let mut packets = Vec::new();
         let (mut at, mut blamed, mut cut) = (0, 0, None);
         while at < buffer.len() {
             let rest = &buffer[at..];
@@ -232,7 +292,6 @@ impl Decoder {
                 self.truncated(cut);
             }
         }
-        packets
     }
 
     /// A frame that seemed cut was followed by something good: it will not go on.
@@ -268,8 +327,8 @@ fn find_v2(rest: &[u8]) -> Found {
     let Some(extra) = crc_extra(id) else {
         return if ends_well { Found::Bad(whole, |c| c.unknown += 1) } else { Found::Garbage };
     };
-    let checksum = u16::from_le_bytes([rest[checked], rest[checked + 1]]);
-    if checksum == calculate_crc(&rest[1..checked], extra) {
+    let sum = u16::from_le_bytes([rest[checked], rest[checked + 1]]);
+    if sum == checksum(&rest[1..checked], extra) {
         Found::Good(whole)
     } else {
         Found::Bad(whole, |c| c.bad_crc += 1)
@@ -282,7 +341,7 @@ fn find_v1(rest: &[u8]) -> Found {
     let (Some(extra), Some(sum)) = (crc_extra(id.into()), rest.get(checked..checked + 2)) else {
         return Found::Garbage;
     };
-    if sum == calculate_crc(&rest[1..checked], extra).to_le_bytes() {
+    if sum == checksum(&rest[1..checked], extra).to_le_bytes() {
         Found::Old(checked + 2)
     } else {
         Found::Garbage
@@ -306,12 +365,13 @@ fn packet(raw: &[u8]) -> Packet {
         system: raw[5],
         component: raw[6],
         id: u32::from_le_bytes([raw[7], raw[8], raw[9], 0]),
-        raw: raw.to_vec(),
+        raw: raw.into(),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use mavlink::calculate_crc;
     use proptest::prelude::*;
 
     use super::*;
