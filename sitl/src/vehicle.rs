@@ -341,6 +341,9 @@ impl Vehicle {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }
+        for (packet, _) in &packets {
+            self.meter.lost += peer.gap(packet);
+        }
         self.make_room();
         self.introduce(from, peer, now);
         self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);

@@ -90,7 +90,7 @@ proptest! {
         let mut raw = vec![0xFD, payload.len() as u8, 0, 0, 0, 1, 1, id as u8, 0, 0];
         raw.extend_from_slice(&payload);
         raw.extend([0, 0]);
-        let packet = Packet { system: 1, component: 1, sequence: 0, id, raw };
+        let packet = Packet { system: 1, component: 1, sequence: 0, id, raw: raw[..].into() };
         let _ = setpoint_of(&packet);
         let _ = ask_of(&packet);
         let _ = packet.message();
