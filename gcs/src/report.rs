@@ -132,7 +132,7 @@ fn open(dir: &Path) -> Result<Finished> {
 
 fn scenarios(page: &mut Page, out: &Path, brain: &Brain, controllers: Option<&[Controller]>) -> Result<()> {
     let paper = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
-    for flown in scenarios::fly(brain, controllers.unwrap_or(&paper))? {
+    for flown in scenarios::fly(brain, controllers.unwrap_or(&paper), scenarios::GUSTY)? {
         flown.show(page, out)?;
         println!("{}", flown.text());
     }

@@ -9,6 +9,7 @@ use super::page::Page;
 use super::{Claim, colour, rgb};
 use crate::lab::plot::{self, Curve, Panel};
 use crate::pilot::Controller;
+use crate::stats::Mean;
 use crate::sweep::episode::Episode;
 use crate::sweep::folder::Folder;
 use crate::sweep::table::{self, Metric, Row};
@@ -54,8 +55,9 @@ const SAID: [Said; 13] = [
     said("sigma", 0.01, Controller::Ucc, Metric::CollisionRisk, 3.0, 2.5),
 ];
 
-/// CRPL's own outage at the lowest bandwidth, in intervals, at most.
-const CRPL_OUTAGE: f64 = 5.0;
+/// Outage of CRPL itself, and of CRPL that knows the bandwidth, in intervals, at most: sweep, x, who, bound.
+const OUTAGE: [(&str, f64, Controller, f64); 2] =
+    [("bandwidth", 2.5, Controller::Crpl, 5.0), ("bandwidth", 2.4, Controller::CrplBw, 0.5)];
 
 /// A finished sweep with its table.
 #[derive(Debug)]
@@ -109,15 +111,14 @@ impl Finished {
                 })
             })
             .collect();
-        if plan.name == "bandwidth"
-            && let Some(crpl) = self.row(2.5, Controller::Crpl)
-        {
-            let t_out = crpl.means.t_out;
+        for (_, x, controller, most) in OUTAGE.iter().filter(|o| o.0 == plan.name) {
+            let Some(t_out) = self.row(*x, *controller).map(|row| row.means.t_out) else { continue };
+            let Mean { mean, ci, .. } = t_out;
             claims.push(Claim {
-                holds: t_out.mean <= CRPL_OUTAGE,
+                holds: mean <= *most,
                 text: format!(
-                    "t_out at {} = 2.5: crpl {:.2} intervals [{:.2}, {:.2}]; at most {CRPL_OUTAGE} is asked for.",
-                    plan.axis, t_out.mean, t_out.ci[0], t_out.ci[1]
+                    "t_out at {} = {x}: {controller} {mean:.2} intervals [{:.2}, {:.2}]; at most {most} is asked for.",
+                    plan.axis, ci[0], ci[1]
                 ),
             });
         }
