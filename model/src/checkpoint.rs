@@ -13,7 +13,7 @@ use crate::infer::Encoder;
 use crate::mlp::Mlp;
 use crate::predictor::Linear;
 use crate::probe::{Affine, Probe};
-use crate::weights::{CONVS, FEATURES, Input, LATENT, Layer, POOLED, Weights};
+use crate::weights::{CONVS, Colour, FEATURES, Input, LATENT, Layer, POOLED, Weights};
 use crate::world_model::{Card, WorldModel};
 
 /// Name of the tensors' file.
@@ -198,6 +198,12 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// Whether the file holds this tensor.
+    #[must_use]
+    pub fn has(&self, name: &str) -> bool {
+        self.tensors.tensor(name).is_ok()
+    }
+
     /// The shape of a tensor.
     pub fn shape(&self, name: &str) -> Result<Vec<usize>, CheckpointError> {
         Ok(self.view(name)?.shape().to_vec())
@@ -284,6 +290,10 @@ impl<'a> Reader<'a> {
 pub fn put_weights(out: &mut Writer, weights: &Weights) {
     out.f32("input.scale", &[3], weights.input.scale);
     out.f32("input.whole_mass", &[3], weights.input.whole_mass);
+    if let Some(Colour { w, b }) = weights.input.colour {
+        out.f32("colour.weight", &[2, 3], w.into_iter().flatten());
+        out.f32("colour.bias", &[2], b);
+    }
     for (n, conv) in weights.convs.iter().enumerate() {
         out.layer(&format!("conv{}", n + 1), conv);
     }
@@ -305,8 +315,14 @@ pub fn get_weights(from: &Reader<'_>) -> Result<Weights, CheckpointError> {
     // z_c's head is twice as wide where the missing-mass features stand beside h.
     let gated = from.shape("head_c.weight")?.get(1) == Some(&(2 * FEATURES));
     let width = if gated { 2 * FEATURES } else { FEATURES };
+    let colour = if from.has("colour.weight") {
+        let (w, b) = (from.f32("colour.weight", &[2, 3])?, from.f32("colour.bias", &[2])?);
+        Some(Colour { w: [[w[0], w[1], w[2]], [w[3], w[4], w[5]]], b: [b[0], b[1]] })
+    } else {
+        None
+    };
     Ok(Weights {
-        input: Input { scale: triple("input.scale")?, whole_mass: triple("input.whole_mass")? },
+        input: Input { scale: triple("input.scale")?, whole_mass: triple("input.whole_mass")?, colour },
         convs: [conv(0)?, conv(1)?, conv(2)?, conv(3)?],
         fc: from.layer("fc", &[FEATURES, POOLED])?,
         head_c: from.layer("head_c", &[LATENT, width])?,

@@ -5,9 +5,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::alarms::Limits;
 use crate::closed_form::ClosedForm;
 use crate::evaluate::EvaluationConfig;
 use crate::heads::HeadsConfig;
+use crate::lens::Lens;
+use crate::stages::{Layers, Stages};
 
 /// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,6 +28,11 @@ pub struct TrainConfig {
     pub short: [usize; 2],
     /// Pictures a batch on the backend; more uses more memory, the result is the same.
     pub batch: usize,
+    /// The cameras that took the pictures, one after the other for consecutive episodes; none means the
+    /// clean one.
+    pub cameras: Vec<Lens>,
+    /// What makes the encoder.
+    pub stages: Stages,
     /// The encoder.
     pub encoder: EncoderConfig,
     /// The latent heads.
@@ -35,6 +43,8 @@ pub struct TrainConfig {
     pub heads: HeadsConfig,
     /// What is measured at the end.
     pub evaluation: EvaluationConfig,
+    /// What a model must keep to be shipped.
+    pub alarms: Limits,
 }
 
 impl Default for TrainConfig {
@@ -46,11 +56,14 @@ impl Default for TrainConfig {
             long: [10, 48],
             short: [4, 10],
             batch: 64,
+            cameras: Vec::new(),
+            stages: Stages::default(),
             encoder: EncoderConfig::default(),
             closed_form: ClosedForm::default(),
             predictor: PredictorConfig::default(),
             heads: HeadsConfig::default(),
             evaluation: EvaluationConfig::default(),
+            alarms: Limits::default(),
         }
     }
 }
@@ -86,11 +99,14 @@ pub struct EncoderConfig {
     pub gated: bool,
     /// S, latent units of z_c per unit of length.
     pub scale: f64,
+    /// Threshold with which a learned colour layer starts, as a share of a full channel; without it the
+    /// bytes go to the trunk as they are.
+    pub colour: Option<f64>,
 }
 
 impl Default for EncoderConfig {
     fn default() -> Self {
-        Self { mix: 0.03, normalise: [true, true], gated: true, scale: 10.0 }
+        Self { mix: 0.03, normalise: [true, true], gated: true, scale: 10.0, colour: None }
     }
 }
 
@@ -124,6 +140,14 @@ pub enum ConfigError {
         /// Line, key and reason.
         message: String,
     },
+    /// A key is needed beside another one.
+    #[error("{key} is not set: {why}")]
+    Missing {
+        /// Dotted key.
+        key: &'static str,
+        /// What needs it.
+        why: &'static str,
+    },
     /// A value is out of range.
     #[error("{key} = {value}: {must}")]
     Range {
@@ -146,10 +170,34 @@ impl TrainConfig {
         Ok(config)
     }
 
+    /// The recipe in small, in seconds: it shows that everything runs; its figures are not the recipe's.
+    #[must_use]
+    pub fn quick(mut self) -> Self {
+        self.data.episodes = self.data.episodes.min(300);
+        self.data.edge_episodes = self.data.edge_episodes.min(100);
+        self.frames = self.frames.min(6000);
+        self.predictor.episodes = self.predictor.episodes.min(30);
+        self.heads.frames = self.heads.frames.min(3000);
+        self.heads.steps = self.heads.steps.min(600);
+        self.evaluation.frames = self.evaluation.frames.min(1000);
+        self.evaluation.rollouts = self.evaluation.rollouts.min(100);
+        if let Some(gradient) = &mut self.stages.gradient {
+            gradient.steps = gradient.steps.min(40);
+            gradient.warm_up = gradient.warm_up.min(10);
+        }
+        self
+    }
+
     /// Refuses values that make no sense.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let positive = "must be finite and above 0";
-        let counts = [
+        self.check_counts()?;
+        self.check_sizes()?;
+        self.check_stages()?;
+        self.check_lags()
+    }
+
+    fn check_counts(&self) -> Result<(), ConfigError> {
+        let mut counts = vec![
             ("data.episodes", self.data.episodes),
             ("frames", self.frames / 6),
             ("batch", self.batch),
@@ -162,10 +210,29 @@ impl TrainConfig {
             ("evaluation.horizon", self.evaluation.horizon),
             ("closed_form.rounds", self.closed_form.rounds),
         ];
-        if let Some((key, value)) = counts.into_iter().find(|(_, n)| *n == 0) {
-            return Err(ConfigError::Range { key, value: value as f64, must: positive });
+        if let Some(gradient) = &self.stages.gradient {
+            counts.extend([
+                ("stages.gradient.steps", gradient.steps),
+                // A batch of one has no variance.
+                ("stages.gradient.batch", gradient.batch / 2),
+                ("stages.gradient.save_every", gradient.save_every),
+                ("stages.gradient.refit_every", gradient.refit_every),
+                ("stages.gradient.refit_frames", gradient.refit_frames / 6),
+            ]);
         }
-        let sizes = [
+        match counts.into_iter().find(|(_, n)| *n == 0) {
+            Some((key, value)) => Err(ConfigError::Range { key, value: value as f64, must: POSITIVE }),
+            None if self.data.episodes + self.data.edge_episodes < self.predictor.episodes => {
+                let must = "must not be more than data.episodes + data.edge_episodes";
+                let value = self.predictor.episodes as f64;
+                Err(ConfigError::Range { key: "predictor.episodes", value, must })
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn check_sizes(&self) -> Result<(), ConfigError> {
+        let mut sizes = vec![
             ("encoder.scale", self.encoder.scale),
             ("closed_form.ridge_c", self.closed_form.ridge_c),
             ("closed_form.ridge_u", self.closed_form.ridge_u),
@@ -175,13 +242,61 @@ impl TrainConfig {
             ("heads.learning_rate", self.heads.learning_rate),
             ("heads.distance_floor", self.heads.distance_floor),
         ];
+        if let Some(gradient) = &self.stages.gradient {
+            sizes.extend([
+                ("stages.gradient.learning_rate", gradient.learning_rate),
+                ("stages.gradient.clip", gradient.clip),
+                ("stages.gradient.keep", gradient.keep),
+            ]);
+        }
         if let Some((key, value)) = sizes.into_iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)) {
-            return Err(ConfigError::Range { key, value, must: positive });
+            return Err(ConfigError::Range { key, value, must: POSITIVE });
         }
-        if !(self.encoder.mix.is_finite() && self.encoder.mix >= 0.0) {
-            let must = "must be finite and not below 0";
-            return Err(ConfigError::Range { key: "encoder.mix", value: self.encoder.mix, must });
+        let mut weights = vec![("encoder.mix", self.encoder.mix)];
+        if let Some(gradient) = &self.stages.gradient {
+            weights.extend([
+                ("stages.gradient.target_weight", gradient.target_weight),
+                ("stages.gradient.whitening", gradient.whitening),
+                ("stages.gradient.off_plane", gradient.off_plane),
+            ]);
         }
+        if let Some((key, value)) = weights.into_iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)) {
+            return Err(ConfigError::Range { key, value, must: "must be finite and not below 0" });
+        }
+        Ok(())
+    }
+
+    fn check_stages(&self) -> Result<(), ConfigError> {
+        let refuse = |key, value, must| Err(ConfigError::Range { key, value, must });
+        if let Some(at) = self.cameras.iter().position(|lens| !lens.is_sound()) {
+            let must =
+                "(counted from 0) must have colours in 0..=1, noise and texture in 0..=255, drift in 0..1";
+            return refuse("cameras, entry", at as f64, must);
+        }
+        if let Some(threshold) = self.encoder.colour {
+            if !(0.0..1.0).contains(&threshold) {
+                return refuse("encoder.colour", threshold, "must lie in 0..1");
+            }
+            if self.encoder.normalise != [true; 2] {
+                return refuse("encoder.colour", threshold, "needs encoder.normalise = [true, true]");
+            }
+        }
+        let stages = &self.stages;
+        let Some(gradient) = &stages.gradient else {
+            let must = "must be true without [stages.gradient]: nothing else makes the latent heads";
+            return if stages.closed_form { Ok(()) } else { refuse("stages.closed_form", 0.0, must) };
+        };
+        if !(0.0..1.0).contains(&gradient.momentum) {
+            return refuse("stages.gradient.momentum", gradient.momentum, "must lie in 0..1");
+        }
+        if gradient.layers == Layers::Colour && self.encoder.colour.is_none() {
+            let why = "stages.gradient.layers = \"colour\" trains that layer alone";
+            return Err(ConfigError::Missing { key: "encoder.colour", why });
+        }
+        Ok(())
+    }
+
+    fn check_lags(&self) -> Result<(), ConfigError> {
         // Random flights that stay in the square for longer are too rare to find.
         for (key, steps) in [("data.steps", self.data.steps), ("evaluation.horizon", self.evaluation.horizon)]
         {
@@ -196,11 +311,8 @@ impl TrainConfig {
                 return Err(ConfigError::Range { key, value: lags[1] as f64, must });
             }
         }
-        if self.data.episodes + self.data.edge_episodes < self.predictor.episodes {
-            let must = "must not be more than data.episodes + data.edge_episodes";
-            let value = self.predictor.episodes as f64;
-            return Err(ConfigError::Range { key: "predictor.episodes", value, must });
-        }
         Ok(())
     }
 }
+
+const POSITIVE: &str = "must be finite and above 0";

@@ -9,7 +9,7 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use sitl::camera::{CHANNELS, Frame, SIDE};
 
-use crate::weights::{CONVS, ConvShape, FEATURES, Input, LATENT, LEAK, Layer, POOLED, Weights};
+use crate::weights::{CONVS, Colour, ConvShape, FEATURES, Input, LATENT, LEAK, Layer, POOLED, Weights};
 
 /// Output channels that one inner loop carries in registers.
 const BLOCK: usize = 32;
@@ -145,6 +145,25 @@ fn read(head: &Packed, x: &[f32]) -> [f32; LATENT] {
     "aarch64+neon"
 ))]
 fn trunk(rgb: &[u8], input: &Input, convs: &[Packed; 4], fc: &Packed, h: &mut [f32]) -> [f32; CHANNELS] {
+    let (mut x, missing) = match &input.colour {
+        None => scaled(rgb, input),
+        Some(colour) => unmixed(rgb, input, colour),
+    };
+    for (shape, layer) in CONVS.iter().zip(convs) {
+        x = convolve(&x, shape, layer);
+    }
+    let inputs = CONVS[3].outputs;
+    for (cell, w) in x.chunks_exact(inputs).zip(fc.w.chunks_exact(inputs * FEATURES)) {
+        if cell.iter().any(|v| *v != 0.0) {
+            accumulate(cell, w, h);
+        }
+    }
+    missing
+}
+
+/// The picture as the trunk reads it, [SIDE²][3], and q.
+#[inline(always)]
+fn scaled(rgb: &[u8], input: &Input) -> (Vec<f32>, [f32; CHANNELS]) {
     let mut sums = [0u32; CHANNELS];
     for pixel in rgb.chunks_exact(CHANNELS) {
         for (sum, byte) in sums.iter_mut().zip(pixel) {
@@ -158,16 +177,25 @@ fn trunk(rgb: &[u8], input: &Input, convs: &[Packed; 4], fc: &Packed, h: &mut [f
             x[channel] = f32::from(byte[channel]) * factor[channel];
         }
     }
-    for (shape, layer) in CONVS.iter().zip(convs) {
-        x = convolve(&x, shape, layer);
-    }
-    let inputs = CONVS[3].outputs;
-    for (cell, w) in x.chunks_exact(inputs).zip(fc.w.chunks_exact(inputs * FEATURES)) {
-        if cell.iter().any(|v| *v != 0.0) {
-            accumulate(cell, w, h);
+    (x, missing)
+}
+
+/// The same behind a colour layer.
+#[inline(always)]
+fn unmixed(rgb: &[u8], input: &Input, colour: &Colour) -> (Vec<f32>, [f32; CHANNELS]) {
+    let mut sums = [0.0f32; CHANNELS];
+    let mut x = vec![0.0f32; SIDE * SIDE * CHANNELS];
+    for (x, pixel) in x.chunks_exact_mut(CHANNELS).zip(rgb.chunks_exact(CHANNELS)) {
+        for (channel, y) in Colour::CHANNELS.into_iter().zip(colour.apply(pixel)) {
+            x[channel] = y;
+            sums[channel] += y;
         }
     }
-    missing
+    let (factor, missing) = input.factors_of(sums, 1.0);
+    for x in x.chunks_exact_mut(CHANNELS) {
+        x.iter_mut().zip(factor).for_each(|(x, factor)| *x *= factor);
+    }
+    (x, missing)
 }
 
 /// One convolution with LeakyReLU: [grid_in²][inputs] -> [grid_out²][outputs].

@@ -9,12 +9,12 @@ use burn::nn::PaddingConfig2d;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::pool::{AdaptiveAvgPool2d, AdaptiveAvgPool2dConfig};
 use burn::nn::{Linear, LinearConfig};
-use burn::tensor::activation::leaky_relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::activation::{leaky_relu, relu};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use sitl::camera::{CHANNELS, Frame, SIDE};
 
 use crate::infer::{Features, Latent};
-use crate::weights::{CONVS, ConvShape, FEATURES, Input, LATENT, LEAK, Layer, Weights};
+use crate::weights::{CONVS, Colour, ConvShape, FEATURES, Input, LATENT, LEAK, Layer, Weights};
 
 /// Which of burn's CPU backends computes.
 #[derive(
@@ -67,9 +67,18 @@ fn ndarray() -> Result<Device, NoBackend> {
 /// Pictures as the network reads them.
 #[derive(Debug, Clone)]
 pub struct Batch {
-    /// [batch, 3, 100, 100], scaled by [`Input`].
+    /// [batch, 3, 100, 100], scaled by [`Input`], or in 0..=1 where a colour layer comes first.
     pub frames: Tensor<4>,
-    /// q, the missing share of each colour: [batch, 3].
+    /// q, the missing share of each colour: [batch, 3]. A colour layer finds its own.
+    pub missing: Tensor<2>,
+}
+
+/// What the trunk makes of a batch.
+#[derive(Debug, Clone)]
+pub struct Trunk {
+    /// h, [batch, 256].
+    pub h: Tensor<2>,
+    /// q, the missing share of each colour, [batch, 3].
     pub missing: Tensor<2>,
 }
 
@@ -83,7 +92,10 @@ impl Batch {
             let sums = std::array::from_fn(|channel| {
                 frame.rgb().iter().skip(channel).step_by(CHANNELS).map(|b| u32::from(*b)).sum()
             });
-            let (factor, q) = input.factors(sums);
+            let (factor, q) = match input.colour {
+                None => input.factors(sums),
+                Some(_) => ([1.0 / 255.0; CHANNELS], [0.0; CHANNELS]),
+            };
             for (channel, factor) in factor.into_iter().enumerate() {
                 x.extend(frame.rgb().iter().skip(channel).step_by(CHANNELS).map(|b| f32::from(*b) * factor));
             }
@@ -98,6 +110,10 @@ impl Batch {
 /// The encoder. Online and target are two of these.
 #[derive(Module, Debug)]
 pub struct Encoder {
+    /// 3 -> 2, pixel by pixel.
+    colour: Option<Linear>,
+    #[module(skip)]
+    input: Input,
     conv1: Conv2d,
     conv2: Conv2d,
     conv3: Conv2d,
@@ -114,7 +130,13 @@ impl Encoder {
     pub fn new(weights: &Weights, device: &Device) -> Self {
         let [conv1, conv2, conv3, conv4] =
             std::array::from_fn(|n| conv_from(&weights.convs[n], &CONVS[n], device));
+        let colour = weights.input.colour.map(|c| {
+            let w = c.w.as_flattened().to_vec();
+            linear_from(&Layer { shape: vec![2, CHANNELS], w, b: c.b.to_vec() }, device)
+        });
         Self {
+            colour,
+            input: weights.input,
             conv1,
             conv2,
             conv3,
@@ -126,10 +148,16 @@ impl Encoder {
         }
     }
 
-    /// The module's weights; `input` is carried along, it is not trained.
+    /// The module's weights.
     #[must_use]
-    pub fn weights(&self, input: Input) -> Weights {
+    pub fn weights(&self) -> Weights {
         let convs = [&self.conv1, &self.conv2, &self.conv3, &self.conv4];
+        let mut input = self.input;
+        if let (Some(linear), Some(colour)) = (&self.colour, &mut input.colour) {
+            let layer = layer_of_linear(linear);
+            colour.w.as_flattened_mut().copy_from_slice(&layer.w);
+            colour.b.copy_from_slice(&layer.b);
+        }
         Weights {
             input,
             convs: convs.map(layer_of_conv),
@@ -139,61 +167,118 @@ impl Encoder {
         }
     }
 
-    /// h of a batch: [batch, 3, 100, 100] -> [batch, 256].
+    /// h and q of a batch.
     #[must_use]
-    pub fn features(&self, frames: Tensor<4>) -> Tensor<2> {
-        let mut x = frames;
+    pub fn trunk(&self, batch: &Batch) -> Trunk {
+        let (mut x, missing) = match &self.colour {
+            None => (batch.frames.clone(), batch.missing.clone()),
+            Some(layer) => self.unmixed(layer, batch),
+        };
         for conv in [&self.conv1, &self.conv2, &self.conv3, &self.conv4] {
             x = leaky_relu(conv.forward(x), f64::from(LEAK)); // 26², 14², 8², 5²
         }
-        self.fc.forward(self.pool.forward(x).flatten(1, 3)) // [batch, 3200] -> [batch, 256]
+        let h = self.fc.forward(self.pool.forward(x).flatten(1, 3)); // [batch, 3200] -> [batch, 256]
+        Trunk { h, missing }
     }
 
     /// z_c and z_u of a batch, [batch, 16] each.
     #[must_use]
     pub fn forward(&self, batch: &Batch) -> (Tensor<2>, Tensor<2>) {
-        let h = self.features(batch.frames.clone());
+        let Trunk { h, missing } = self.trunk(batch);
         let z_u = self.head_u.forward(h.clone());
         let gated = self.head_c.weight.dims()[0] == 2 * FEATURES;
-        let q = batch.missing.clone().narrow(1, 0, 1); // [batch, 1]
+        let q = missing.narrow(1, 0, 1); // [batch, 1]
         let x = if gated { Tensor::cat(vec![h.clone(), h * q], 1) } else { h };
         (self.head_c.forward(x), z_u)
     }
 
-    /// φ_tar ← τ φ_tar + (1-τ) φ, as the target that follows `online`.
+    /// The same encoder, of whose trunk nothing but the colour layer learns.
     #[must_use]
-    pub fn follow(mut self, online: &Self, tau: f64) -> Self {
-        let mix = |target: Param<Tensor<4>>, online: &Param<Tensor<4>>| {
-            target.map(|t| t * tau + online.val().detach() * (1.0 - tau))
-        };
-        let mix1 = |target: Option<Param<Tensor<1>>>, online: &Option<Param<Tensor<1>>>| {
-            let online = online.as_ref()?.val().detach();
-            Some(target?.map(|t| t * tau + online * (1.0 - tau)))
-        };
-        let mix2 = |target: Param<Tensor<2>>, online: &Param<Tensor<2>>| {
-            target.map(|t| t * tau + online.val().detach() * (1.0 - tau))
-        };
-        for (target, online) in [
-            (&mut self.conv1, &online.conv1),
-            (&mut self.conv2, &online.conv2),
-            (&mut self.conv3, &online.conv3),
-            (&mut self.conv4, &online.conv4),
-        ] {
-            target.weight = mix(target.weight.clone(), &online.weight);
-            target.bias = mix1(target.bias.clone(), &online.bias);
-        }
-        for (target, online) in [
-            (&mut self.fc, &online.fc),
-            (&mut self.head_c, &online.head_c),
-            (&mut self.head_u, &online.head_u),
-        ] {
-            target.weight = mix2(target.weight.clone(), &online.weight);
-            target.bias = mix1(target.bias.clone(), &online.bias);
-        }
+    pub fn with_a_still_trunk(mut self) -> Self {
+        self.conv1 = self.conv1.no_grad();
+        self.conv2 = self.conv2.no_grad();
+        self.conv3 = self.conv3.no_grad();
+        self.conv4 = self.conv4.no_grad();
+        self.fc = self.fc.no_grad();
         self
+    }
+
+    /// The same encoder, whose latent heads do not learn.
+    #[must_use]
+    pub fn with_still_heads(mut self) -> Self {
+        self.head_c = self.head_c.no_grad();
+        self.head_u = self.head_u.no_grad();
+        self
+    }
+
+    /// The colour layer, then each channel over its own mass: [batch, 3, 100, 100] in 0..=1 to the
+    /// trunk's input, and q [batch, 3].
+    fn unmixed(&self, layer: &Linear, batch: &Batch) -> (Tensor<4>, Tensor<2>) {
+        let [count, ..] = batch.frames.dims();
+        let pixels = batch.frames.clone().reshape([count, CHANNELS, SIDE * SIDE]);
+        let w = layer.weight.val().transpose().unsqueeze::<3>(); // [1, 2, 3]
+        let mut y = w.expand([count, 2, CHANNELS]).matmul(pixels); // [batch, 2, 10000]
+        if let Some(b) = &layer.bias {
+            y = y + b.val().reshape([1, 2, 1]);
+        }
+        let y = relu(y);
+        let own = y.clone().sum_dim(2); // [batch, 2, 1]
+        let constants = |values: [f32; CHANNELS]| {
+            let pair = Colour::CHANNELS.map(|k| values[k]);
+            Tensor::<3>::from_data(TensorData::new(pair.to_vec(), [1, 2, 1]), &y.device())
+        };
+        let (whole, scale) = (constants(self.input.whole_mass), constants(self.input.scale));
+        // A channel without mass is black: it stays so, and misses nothing.
+        let lit = own.clone().greater_elem(0.0).float();
+        let ratio = whole.clone() / (own.clone() + (lit.clone().neg() + 1.0));
+        let x = y * (ratio / scale);
+        let q = (own / whole).neg().add_scalar(1.0) * lit;
+        let side = [count, 1, SIDE, SIDE];
+        let channel = |k: usize| x.clone().narrow(1, k, 1).reshape(side);
+        let green = Tensor::zeros(side, &x.device());
+        let q_of = |k: usize| q.clone().narrow(1, k, 1).reshape([count, 1]);
+        let none = Tensor::zeros([count, 1], &x.device());
+        (Tensor::cat(vec![channel(0), green, channel(1)], 1), Tensor::cat(vec![q_of(0), none, q_of(1)], 1))
+    }
+
+    /// The gradients of the values that [`Weights::parts`] lists, in its order; zeros where there is
+    /// none.
+    #[must_use]
+    pub fn gradients(&self, gradients: &Gradients) -> Weights {
+        let conv = |c: &Conv2d| Layer {
+            shape: c.weight.dims().to_vec(),
+            w: gradient_of(&c.weight.val(), gradients),
+            b: c.bias.as_ref().map_or_else(Vec::new, |b| gradient_of(&b.val(), gradients)),
+        };
+        let linear = |l: &Linear| {
+            let [inputs, outputs] = l.weight.dims();
+            Layer {
+                shape: vec![outputs, inputs],
+                w: transposed(&gradient_of(&l.weight.val(), gradients), inputs, outputs),
+                b: l.bias.as_ref().map_or_else(Vec::new, |b| gradient_of(&b.val(), gradients)),
+            }
+        };
+        let mut input = self.input;
+        if let (Some(layer), Some(colour)) = (&self.colour, &mut input.colour) {
+            let layer = linear(layer);
+            colour.w.as_flattened_mut().copy_from_slice(&layer.w);
+            colour.b.copy_from_slice(&layer.b);
+        }
+        Weights {
+            input,
+            convs: [&self.conv1, &self.conv2, &self.conv3, &self.conv4].map(conv),
+            fc: linear(&self.fc),
+            head_c: linear(&self.head_c),
+            head_u: linear(&self.head_u),
+        }
     }
 }
 
+/// A tensor's gradient, row by row; zeros where it has none.
+pub fn gradient_of<const D: usize>(tensor: &Tensor<D>, gradients: &Gradients) -> Vec<f32> {
+    let count = tensor.shape().num_elements();
+    tensor.grad(gradients).map_or_else(|| vec![0.0; count], values)
+}
 /// h and q of many pictures, `draw`n and computed in batches of `size` on the module's device.
 pub fn features_of<T>(
     encoder: &Encoder,
@@ -208,8 +293,8 @@ pub fn features_of<T>(
     for scenes in scenes.chunks(size.max(1)) {
         let frames: Vec<Frame> = scenes.iter().map(&draw).collect();
         let batch = Batch::new(&frames, input, device);
-        let h = values(encoder.features(batch.frames));
-        let q = values(batch.missing);
+        let Trunk { h, missing } = encoder.trunk(&batch);
+        let (h, q) = (values(h), values(missing));
         for (h, q) in h.chunks_exact(FEATURES).zip(q.chunks_exact(CHANNELS)) {
             out.push(Features { h: h.to_vec(), missing: std::array::from_fn(|k| q[k]) });
         }
@@ -286,7 +371,16 @@ mod tests {
     use sitl::world::noise::Noise;
 
     fn weights() -> Weights {
-        let input = Input::new(&Scenario::default(), [true, false, true]);
+        with_input(Input::new(&Scenario::default(), [true, false, true]))
+    }
+
+    fn with_colour() -> Weights {
+        let w = [[1.0, -0.3, 0.1], [-0.2, 0.1, 0.9]];
+        let colour = Some(Colour { w, b: [-0.03, -0.05] });
+        with_input(Input { colour, ..Input::new(&Scenario::default(), [true, false, true]) })
+    }
+
+    fn with_input(input: Input) -> Weights {
         let mut weights = Weights::initial(input, 0.03, true, &Noise::new(2));
         // Heads and biases that are not zero, so that nothing hides behind a zero.
         for (k, w) in weights.head_c.w.iter_mut().chain(&mut weights.head_u.w).enumerate() {
@@ -319,42 +413,35 @@ mod tests {
         a.iter().zip(&b).fold(0.0f32, |m, (a, b)| m.max((a - b).abs())) / size
     }
 
-    fn by_burn(backend: Backend) -> Vec<Latent> {
-        let (weights, device) = (weights(), backend.device().unwrap());
-        latents_of(&Encoder::new(&weights, &device), &weights.input, &device, &frames())
+    fn by_burn(backend: Backend, weights: &Weights) -> Vec<Latent> {
+        let device = backend.device().unwrap();
+        latents_of(&Encoder::new(weights, &device), &weights.input, &device, &frames())
     }
 
     #[test]
     fn the_flight_path_computes_what_burn_computes() {
-        let encoder = crate::infer::Encoder::new(weights());
-        let own: Vec<Latent> = frames().iter().map(|f| encoder.encode(f)).collect();
-        let off = apart(&by_burn(Backend::Flex), &own);
-        assert!(off < 1e-4, "flex is off by {off}");
+        for weights in [weights(), with_colour()] {
+            let encoder = crate::infer::Encoder::new(weights.clone());
+            let own: Vec<Latent> = frames().iter().map(|f| encoder.encode(f)).collect();
+            let off = apart(&by_burn(Backend::Flex, &weights), &own);
+            assert!(off < 1e-4, "flex is off by {off}");
+        }
     }
 
     #[cfg(feature = "ndarray")]
     #[test]
     fn both_backends_agree() {
-        let off = apart(&by_burn(Backend::Flex), &by_burn(Backend::Ndarray));
-        assert!(off < 1e-4, "ndarray is off by {off}");
+        for weights in [weights(), with_colour()] {
+            let off = apart(&by_burn(Backend::Flex, &weights), &by_burn(Backend::Ndarray, &weights));
+            assert!(off < 1e-4, "ndarray is off by {off}");
+        }
     }
 
     #[test]
     fn weights_survive_the_module() {
         let device = Backend::Flex.device().unwrap();
-        let weights = weights();
-        assert_eq!(Encoder::new(&weights, &device).weights(weights.input), weights);
-    }
-
-    #[test]
-    fn a_target_follows_by_one_minus_tau() {
-        let device = Backend::Flex.device().unwrap();
-        let online = weights();
-        let mut still = online.clone();
-        still.fc.w.fill(0.0);
-        let target = Encoder::new(&still, &device).follow(&Encoder::new(&online, &device), 0.75);
-        let moved = target.weights(online.input);
-        assert!((moved.fc.w[17] - 0.25 * online.fc.w[17]).abs() < 1e-7);
-        assert!((moved.convs[2].w[5] - online.convs[2].w[5]).abs() < 1e-7);
+        for weights in [weights(), with_colour()] {
+            assert_eq!(Encoder::new(&weights, &device).weights(), weights);
+        }
     }
 }

@@ -34,12 +34,21 @@
 
 #![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
 
+#[cfg(feature = "train")]
+pub mod ablate;
+pub mod adamw;
+pub mod alarms;
 pub mod checkpoint;
 pub mod closed_form;
 pub mod config;
 pub mod crpl;
 pub mod dataset;
 pub mod evaluate;
+#[cfg(feature = "train")]
+pub mod fit;
+#[cfg(feature = "train")]
+pub mod gradient;
+pub mod hard;
 pub mod heads;
 pub mod heads_at;
 #[cfg(feature = "train")]
@@ -47,12 +56,18 @@ pub mod heads_fit;
 pub mod infer;
 #[cfg(feature = "train")]
 pub mod jepa;
+#[cfg(feature = "train")]
+pub mod kept;
 pub mod kernel;
+pub mod lens;
+#[cfg(feature = "train")]
+pub mod losses;
 pub mod mlp;
 pub mod optimise;
 pub mod policy;
 pub mod predictor;
 pub mod probe;
+pub mod stages;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod weights;

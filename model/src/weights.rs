@@ -89,6 +89,42 @@ pub struct Input {
     /// its whole mass over its own sum, so that the trunk carries centres of mass, not moments: a disc
     /// that the frame's edge cuts keeps its place.
     pub whole_mass: [f32; CHANNELS],
+    /// The learned colour layer in front of it, where there is one.
+    pub colour: Option<Colour>,
+}
+
+/// A learned 1x1 layer: y = max(0, W x/255 + b) takes the place of red and blue, green stays empty.
+/// W tells the bodies' colours apart, and b, negative, is a threshold below which background and pixel
+/// noise vanish before a lever arm multiplies them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Colour {
+    /// W, [out][RGB].
+    pub w: [[f32; CHANNELS]; 2],
+    /// b
+    pub b: [f32; 2],
+}
+
+impl Colour {
+    /// The colour layer's outputs, as the trunk's channels.
+    pub const CHANNELS: [usize; 2] = [0, 2];
+
+    /// Red and blue pass, less a threshold of `threshold` (of a full channel).
+    #[must_use]
+    pub fn passing(threshold: f32) -> Self {
+        Self { w: [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], b: [-threshold; 2] }
+    }
+
+    /// y of one pixel of three bytes.
+    #[inline(always)]
+    #[must_use]
+    pub fn apply(&self, pixel: &[u8]) -> [f32; 2] {
+        let x = [0, 1, 2].map(|k| f32::from(pixel[k]) * (1.0 / 255.0));
+        [0, 1].map(|o| {
+            let w = &self.w[o];
+            let sum = x[2].mul_add(w[2], x[1].mul_add(w[1], x[0].mul_add(w[0], self.b[o])));
+            sum.max(0.0)
+        })
+    }
 }
 
 impl Input {
@@ -108,18 +144,24 @@ impl Input {
                 whole_mass[channel] = mass as f32;
             }
         }
-        Self { scale: [share(masses[0], 0.8), 1.0, share(masses[2], 0.9)], whole_mass }
+        Self { scale: [share(masses[0], 0.8), 1.0, share(masses[2], 0.9)], whole_mass, colour: None }
     }
 
     /// Factor from byte to input, and the missing share q = 1 - own mass / whole mass, per channel,
     /// of a picture whose bytes sum to `sums`. An empty channel has factor 1/(255 scale) and q = 0.
     #[must_use]
     pub fn factors(&self, sums: [u32; CHANNELS]) -> ([f32; CHANNELS], [f32; CHANNELS]) {
+        self.factors_of(sums.map(|sum| sum as f32), 255.0)
+    }
+
+    /// The same of values that are `full` where a disc covers a pixel.
+    #[must_use]
+    pub fn factors_of(&self, sums: [f32; CHANNELS], full: f32) -> ([f32; CHANNELS], [f32; CHANNELS]) {
         let (mut factor, mut missing) = ([0.0; CHANNELS], [0.0; CHANNELS]);
         for channel in 0..CHANNELS {
-            let plain = 1.0 / (255.0 * self.scale[channel]);
-            let whole = 255.0 * self.whole_mass[channel];
-            let own = sums[channel] as f32;
+            let plain = 1.0 / (full * self.scale[channel]);
+            let whole = full * self.whole_mass[channel];
+            let own = sums[channel];
             if whole > 0.0 && own > 0.0 {
                 factor[channel] = plain * (whole / own);
                 missing[channel] = 1.0 - own / whole;
@@ -165,11 +207,41 @@ impl Weights {
         Self { input, convs, fc, head_c, head_u: Layer::zeros(&[LATENT, FEATURES]) }
     }
 
+    /// Kaiming's start: every weight N(0, 2/((1 + LEAK²) inputs)), biases zero, heads zero. It loses the
+    /// UAV; it is here to show that.
+    #[must_use]
+    pub fn kaiming(input: Input, gated: bool, noise: &Noise) -> Self {
+        let mut weights = Self::initial(input, 0.0, gated, noise);
+        let mut rng = noise.generator(Stream::Weights, 3);
+        for layer in weights.convs.iter_mut().chain([&mut weights.fc]) {
+            let inputs = layer.w.len() / layer.b.len();
+            let deviation = (2.0 / (1.0 + f64::from(LEAK).powi(2)) / inputs as f64).sqrt();
+            layer.w.iter_mut().for_each(|w| *w = (deviation * normal(&mut rng)) as f32);
+        }
+        weights
+    }
+
     /// Number of trainable values.
     #[must_use]
     pub fn parameters(&self) -> usize {
+        self.parts().iter().map(|part| part.len()).sum()
+    }
+
+    /// All trainable values, tensor by tensor in a fixed order.
+    #[must_use]
+    pub fn parts(&self) -> Vec<&[f32]> {
+        let colour = self.input.colour.iter().flat_map(|c| [c.w.as_flattened(), c.b.as_slice()]);
         let heads = [&self.fc, &self.head_c, &self.head_u];
-        self.convs.iter().chain(heads).map(|l| l.w.len() + l.b.len()).sum()
+        let layers = self.convs.iter().chain(heads).flat_map(|l| [l.w.as_slice(), l.b.as_slice()]);
+        colour.chain(layers).collect()
+    }
+
+    /// The same, to be changed.
+    pub fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        let Self { input, convs, fc, head_c, head_u } = self;
+        let colour = input.colour.iter_mut().flat_map(|c| [c.w.as_flattened_mut(), c.b.as_mut_slice()]);
+        let layers = convs.iter_mut().chain([fc, head_c, head_u]);
+        colour.chain(layers.flat_map(|l| [l.w.as_mut_slice(), l.b.as_mut_slice()])).collect()
     }
 }
 

@@ -22,7 +22,11 @@ fn small() -> TrainConfig {
 }
 
 fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainError> {
-    train(&small(), &Run { backend, out: out.into(), data: None, resume })
+    go(&small(), &Run { backend, out: out.into(), data: None, resume })
+}
+
+fn go(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
+    train(config, run).map(|(model, _)| model)
 }
 
 fn bytes(out: &Path) -> (Vec<u8>, String) {

@@ -24,6 +24,8 @@ pub enum Stream {
     Batches = 5,
     /// Evaluation draws.
     Evaluation = 6,
+    /// Pixel noise of harder cameras.
+    Camera = 7,
 }
 
 /// Words of the key stream set aside for each tick; a draw of two normals needs four, rarely more.
