@@ -2,10 +2,13 @@
 
 use std::path::Path;
 
+use model::alarms::Limits;
 use model::config::{DataConfig, PredictorConfig, TrainConfig};
 use model::evaluate::EvaluationConfig;
 use model::heads::HeadsConfig;
 use model::jepa::Backend;
+use model::lens::Lens;
+use model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
 use model::train::{Run, TrainError, train};
 use model::world_model::WorldModel;
 
@@ -107,4 +110,69 @@ fn a_misspelt_key_and_a_senseless_value_are_named() {
     std::fs::write(&path, "[encoder]\nscale = -1.0\n").unwrap();
     let error = TrainConfig::load(&path).unwrap_err().to_string();
     assert_eq!(error, "encoder.scale = -1: must be finite and above 0");
+}
+
+/// A gradient stage so short that its figures mean nothing: limits that nothing breaks.
+fn with_gradient() -> TrainConfig {
+    let limits = Limits {
+        rank: 0.0,
+        spread: 0.0,
+        eigenvalue: f64::MAX,
+        r_squared: f64::MIN,
+        leak: f64::MAX,
+        action_ratio: 0.0,
+    };
+    let gradient = Gradient { steps: 5, batch: 2, save_every: 2, warm_up: 2, ..Gradient::default() };
+    let stages = Stages { gradient: Some(gradient), ..Stages::default() };
+    let heads = HeadsConfig { frames: 100, steps: 2, batch: 16, ..HeadsConfig::default() };
+    TrainConfig { stages, alarms: limits, heads, frames: 1200, ..small() }
+}
+
+#[test]
+fn a_gradient_stage_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |out: &Path, resume| Run { backend: Backend::Flex, out: out.into(), data: None, resume };
+    let mut learned = with_gradient();
+    if let Some(gradient) = &mut learned.stages.gradient {
+        gradient.psi = PsiStart::Learned;
+    }
+    let mut colour = with_gradient();
+    colour.encoder.colour = Some(0.05);
+    if let Some(gradient) = &mut colour.stages.gradient {
+        (gradient.layers, gradient.heads) = (Layers::Colour, HeadStart::ClosedForm);
+        (gradient.refit_every, gradient.refit_frames) = (3, 900);
+    }
+    for (name, config) in [("learned", learned), ("colour", colour)] {
+        let [whole, broken] = ["whole", "broken"].map(|part| dir.path().join(name).join(part));
+        go(&config, &run(&whole, false)).unwrap();
+        std::fs::create_dir_all(broken.join("model.safetensors/in the way")).unwrap();
+        go(&config, &run(&broken, false)).unwrap_err();
+        std::fs::remove_dir_all(broken.join("model.safetensors")).unwrap();
+        // As if it had been stopped in the gradient stage, after its last saved state: step 4 of 5.
+        for stage in ["gradient", "features", "encoder", "predictor", "heads"] {
+            std::fs::remove_dir_all(broken.join("stages").join(stage)).unwrap();
+        }
+        assert!(broken.join("stages/gradient.safetensors").exists());
+        go(&config, &run(&broken, true)).unwrap();
+        assert!(bytes(&whole) == bytes(&broken), "the checkpoints differ");
+    }
+}
+
+#[test]
+fn stages_that_cannot_be_are_told() {
+    let check = |change: fn(&mut TrainConfig)| {
+        let mut config = with_gradient();
+        change(&mut config);
+        config.check().unwrap_err().to_string()
+    };
+    let without = check(|c| (c.stages.gradient, c.stages.closed_form) = (None, false));
+    assert!(without.starts_with("stages.closed_form = 0: must be true without"), "{without}");
+    let layers = check(|c| {
+        if let Some(gradient) = &mut c.stages.gradient {
+            gradient.layers = Layers::Colour;
+        }
+    });
+    assert!(layers.starts_with("encoder.colour is not set"), "{layers}");
+    let camera = check(|c| c.cameras = vec![Lens { noise: -1.0, ..Lens::default() }]);
+    assert!(camera.starts_with("cameras, entry = 0: (counted from 0) must have"), "{camera}");
 }

@@ -12,28 +12,51 @@ use crate::program::{Finished, Program, profile_folder};
 /// The packages, each with its version and the hashes of its wheels.
 const REQUIREMENTS: &str = include_str!("../python/requirements.txt");
 
+/// What stands beside the system's PyTorch.
+const TORCH_REQUIREMENTS: &str = include_str!("../python/requirements-torch.txt");
+
+/// The interpreter that sees the system's packages; another one in front of it in PATH may not.
+const SYSTEM_PYTHON: &str = "/usr/bin/python3";
+
 /// The folder of the environment's programs. Made at the first call and kept beside the build; other
 /// tests and other processes wait meanwhile.
 pub fn environment() -> Result<PathBuf> {
+    made("python", "python3", &[], REQUIREMENTS)
+}
+
+/// The same with the system's PyTorch, and ONNX Runtime: for [`torch_script`]. A machine without
+/// PyTorch is told what to install.
+pub fn torch_environment() -> Result<PathBuf> {
+    let found = Command::new(SYSTEM_PYTHON).args(["-c", "import torch, numpy, venv, ensurepip"]).output();
+    if !found.is_ok_and(|output| output.status.success()) {
+        bail!(
+            "{SYSTEM_PYTHON} lacks PyTorch or venv: apt-get install --no-install-recommends python3-torch python3-venv"
+        );
+    }
+    made("python-torch", SYSTEM_PYTHON, &["--system-site-packages"], TORCH_REQUIREMENTS)
+}
+
+/// The virtual environment `name` beside the build, made of `requirements`.
+fn made(name: &str, python: &str, flags: &[&str], requirements: &str) -> Result<PathBuf> {
     let profile = profile_folder()?;
-    let home = profile.parent().context("the profile's folder has no parent")?.join("python");
+    let home = profile.parent().context("the profile's folder has no parent")?.join(name);
     fs::create_dir_all(&home).with_context(|| format!("making {}", home.display()))?;
     let lock = File::create(home.join("lock")).context("making the environment's lock")?;
     lock.lock().context("waiting for the environment's lock")?;
 
     let (venv, made) = (home.join("venv"), home.join("made-of.txt"));
-    if !fs::read_to_string(&made).is_ok_and(|text| text == REQUIREMENTS) {
-        let requirements = home.join("requirements.txt");
-        fs::write(&requirements, REQUIREMENTS).context("writing the requirements")?;
-        checked(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&venv))?;
+    if !fs::read_to_string(&made).is_ok_and(|text| text == requirements) {
+        let list = home.join("requirements.txt");
+        fs::write(&list, requirements).context("writing the requirements")?;
+        checked(Command::new(python).args(["-m", "venv", "--clear"]).args(flags).arg(&venv))?;
         checked(
             Command::new(venv.join("bin/python"))
                 .args(["-m", "pip", "install", "--quiet", "--no-input", "--disable-pip-version-check"])
                 // What is imported is compiled then; MAVLink's dialects are 90 MB, of which one is used.
                 .args(["--no-deps", "--no-compile", "-r"])
-                .arg(&requirements),
+                .arg(&list),
         )?;
-        fs::write(&made, REQUIREMENTS).context("noting what the environment is made of")?;
+        fs::write(&made, requirements).context("noting what the environment is made of")?;
     }
     Ok(venv.join("bin"))
 }
@@ -49,8 +72,17 @@ fn checked(command: &mut Command) -> Result<()> {
 
 /// Runs `tests/python/NAME` to its end.
 pub fn script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
+    run_in(&environment()?, name, args)
+}
+
+/// Runs `tests/python/NAME`, which needs PyTorch or ONNX Runtime, to its end.
+pub fn torch_script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
+    run_in(&torch_environment()?, name, args)
+}
+
+fn run_in<A: AsRef<std::ffi::OsStr>>(bin: &Path, name: &str, args: &[A]) -> Result<Finished> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python").join(name);
-    let mut command = Command::new(environment()?.join("python"));
+    let mut command = Command::new(bin.join("python"));
     command.arg("-u").arg(script).args(args);
     Program::spawn(name, command)?.wait()
 }
