@@ -83,7 +83,8 @@ pub fn hard(args: &Hard) -> anyhow::Result<()> {
     let (scenario, noise) = (Scenario::default(), Noise::new(args.seed));
     let mut models = Vec::new();
     for path in &args.models {
-        models.push((path.display().to_string(), load_or_train(path, args.backend)?));
+        let name = path.file_stem().unwrap_or(path.as_os_str()).display().to_string();
+        models.push((name, load_or_train(path, args.backend)?));
     }
     if models.is_empty() {
         models.push(("shipped".into(), WorldModel::embedded()?));

@@ -4,7 +4,7 @@
 //! ```text
 //! picture --> infer::Encoder --> Latent {z_c, z_u} --> predictor (rollouts) --> heads (risk, gain)
 //!                  ^ weights
-//! dataset --> jepa (burn) --> closed_form --> checkpoint          train.rs reads top to bottom
+//! dataset --> lens --> jepa (burn) [gradient] --> closed_form --> checkpoint   train.rs reads top to bottom
 //! ```
 //!
 //! | module | what it is | what it does not know |
@@ -19,6 +19,13 @@
 //! | [`heads`] | collision probability and channel gain: labels, measures | networks |
 //! | [`heads_at`] | the heads' networks, and what they are for one base station | labels |
 //! | `heads_fit` | their training in burn | pictures |
+//! | [`stages`] | which stages a training has | how they are done |
+//! | `gradient`, `losses`, [`adamw`] | the gradient stage: online and target encoder | labels |
+//! | [`lens`] | harder cameras, put on the clean picture | positions |
+//! | [`alarms`] | what a loss does not show: collapse, a lost body | training |
+//! | [`hard`] | where an encoder breaks, case by case | training |
+//! | `fit`, `kept` | the pieces of a training; finished stages on disk | their order |
+//! | `ablate` | the recipe with one thing changed | files |
 //! | [`probe`] | latents to positions, to measure and to draw | training |
 //! | [`dataset`] | episodes from the simulator's world | networks |
 //! | `train` | the recipe | flights |
@@ -29,8 +36,8 @@
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 //!
-//! `jepa`, `heads_fit` and `train` need burn: they come with the cargo feature `train`, which the
-//! `model` program has and a ground station does without.
+//! `jepa`, `heads_fit`, `gradient`, `losses`, `fit`, `kept`, `ablate` and `train` need burn: they come
+//! with the cargo feature `train`, which the `model` program has and a ground station does without.
 
 #![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
 
