@@ -1,7 +1,7 @@
 //! `model ablate` and `model hard`: tables of what each ingredient buys and of where encoders break.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use model::ablate::{CHANGES, HEAD};
@@ -105,7 +105,7 @@ pub fn hard(args: &Hard) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn load_or_train(path: &PathBuf, backend: Backend) -> anyhow::Result<WorldModel> {
+fn load_or_train(path: &Path, backend: Backend) -> anyhow::Result<WorldModel> {
     if path.is_dir() {
         return Ok(WorldModel::load(path)?);
     }

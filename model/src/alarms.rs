@@ -236,12 +236,12 @@ impl HalfFigures {
 
 /// Below, or not a number.
 fn below(value: f64, limit: f64) -> bool {
-    !(value >= limit)
+    value.is_nan() || value < limit
 }
 
 /// Above, or not a number.
 fn above(value: f64, limit: f64) -> bool {
-    !(value <= limit)
+    value.is_nan() || value > limit
 }
 
 /// Standard deviations that the gauge gives to both halves in all: S times that of a position anywhere

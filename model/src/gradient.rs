@@ -1,7 +1,7 @@
 //! The gradient stage: an online encoder descends on the JEPA loss, a target encoder follows it
 //! (paper, Sec. IV-A). Read [`train`] from top to bottom; the losses are in [`losses`].
 //!
-//! No labels: pictures and actions only. Every number that decides the next step is in [`State`], so
+//! No labels: pictures and actions only. Every number that decides the next step is in one value, so
 //! a run that was stopped goes on with the bytes of one that was not.
 
 use std::path::Path;
@@ -216,7 +216,8 @@ impl Recent {
 
     fn figures(&mut self, scale: f64) -> [HalfFigures; 2] {
         let figures = alarms::halves(&self.latents, &self.scenes, scale);
-        (self.latents.clear(), self.scenes.clear());
+        self.latents.clear();
+        self.scenes.clear();
         figures
     }
 }

@@ -21,7 +21,7 @@ fn small() -> TrainConfig {
 }
 
 fn alarms(config: &TrainConfig) -> Vec<Alarm> {
-    let (_, figures) = without_heads(config, Backend::Flex).unwrap();
+    let (_, figures) = without_heads(config, Backend::Flex).expect("the fit succeeds, whatever it is worth");
     figures.alarms(&config.alarms)
 }
 
