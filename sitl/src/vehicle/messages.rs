@@ -15,7 +15,7 @@
 //! | VFR_HUD | 74 | 1 | 4 Hz | EXTRA2 |
 //! | NAV_CONTROLLER_OUTPUT: way to the point that it flies to by itself | 62 | 1 | 2 Hz | EXTRA1 |
 //! | GPS_RAW_INT: the truth, as a 3D fix | 24 | 1 | 2 Hz | EXTENDED_STATUS |
-//! | LINK_NODE_STATUS: traffic with all peers | 8 | 1 | 1 Hz | EXTRA3 |
+//! | LINK_NODE_STATUS: traffic with all peers; pymavlink, which does not know it, would call it a loss | 8 | 1 | on request | |
 //! | SYS_STATUS: battery; radio packets lost | 1 | 1 | 1 Hz | EXTENDED_STATUS |
 //! | SYSTEM_TIME | 2 | 1 | 1 Hz | EXTRA3 |
 //! | EXTENDED_SYS_STATE | 245 | 1 | 1 Hz | EXTENDED_STATUS |
@@ -185,7 +185,7 @@ pub(super) static ROWS: &[Row] = &[
     row!(VFR_HUD_DATA, Goes::Stream(4.0, Group::Extra2), hud),
     row!(NAV_CONTROLLER_OUTPUT_DATA, Goes::Stream(2.0, Group::Extra1), navigation),
     row!(GPS_RAW_INT_DATA, Goes::Stream(2.0, Group::ExtendedStatus), gps),
-    row!(LINK_NODE_STATUS_DATA, Goes::Stream(1.0, Group::Extra3), |state: &State| state.traffic.clone()),
+    row!(LINK_NODE_STATUS_DATA, Goes::OnRequest, |state: &State| state.traffic.clone()),
     row!(SYS_STATUS_DATA, Goes::Stream(1.0, Group::ExtendedStatus), system_status),
     row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
     row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),

@@ -103,7 +103,6 @@ static OF_AUTOPILOT: &[Param] = &[
     rate("RATE_TIME", dialect::SYSTEM_TIME_DATA::ID),
     rate("RATE_EXTENDED", dialect::EXTENDED_SYS_STATE_DATA::ID),
     rate("RATE_MISSION", dialect::MISSION_CURRENT_DATA::ID),
-    rate("RATE_LINK", dialect::LINK_NODE_STATUS_DATA::ID),
     rate("RATE_BATTERY", dialect::BATTERY_STATUS_DATA::ID),
     rate("RATE_HOME", dialect::HOME_POSITION_DATA::ID),
     int(
