@@ -91,6 +91,8 @@ pub struct Flight<'a> {
     pub pace: Pace,
     /// Times real time, where the pace is real time.
     pub speedup: f64,
+    /// Who watches.
+    pub outs: &'a [Endpoint],
 }
 
 /// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
@@ -101,10 +103,11 @@ pub async fn fly(brain: &Brain, flight: &Flight<'_>, dir: &Path) -> Result<Optio
     let options = Options {
         ticks: Some(flight.scenario.horizon),
         tlog: Some(dir.join("flight.tlog")),
+        outs: flight.outs.to_vec(),
         ..Options::default()
     };
     let flown = fly::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;
-    if flown.ended == Ended::Interrupted {
+    if flown.ended != Ended::Over {
         return Ok(None);
     }
     if let Some(last) = &flown.last {

@@ -1,26 +1,29 @@
-//! The UDP shell that flies a station: percept in, command out, until the last tick.
+//! The shell that flies a station: percept in, command out, until the last tick.
 //!
 //! The same loop serves a vehicle in lockstep and one in real time. What comes late or not at all
 //! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
 //! away. Knows no controller: the station is a function.
+//!
+//! Others may watch through the same program ([`Options::outs`]). While it flies, their setpoints
+//! for the vehicle stay here; an operator's change of mode passes, and once the vehicle has taken it
+//! the station sends no more: it says so and goes on passing messages to and fro.
 
-use std::fs::File;
-use std::io::{self, BufWriter};
-use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use sitl::Scenario;
 use sitl::link::decoder::Counts;
+use sitl::link::dialect::MavSeverity;
 use sitl::link::endpoint::Endpoint;
-use sitl::link::tlog::Tlog;
 use sitl::msg::{Command, Percept};
 use sitl::shell::Backoff;
 use sitl::units::Tick;
-use tokio::net::UdpSocket;
 use tokio::time::{Instant, interval, sleep};
 
+use crate::bridge::hub::Hub;
+use crate::bridge::router::Notice;
+use crate::bridge::tell;
 use crate::remote::{Event, Remote};
 
 /// The station's heartbeat.
@@ -35,6 +38,8 @@ pub struct Options {
     pub ticks: Option<u64>,
     /// Where to write the tlog.
     pub tlog: Option<PathBuf>,
+    /// Who else talks to the vehicle through this program.
+    pub outs: Vec<Endpoint>,
     /// How long to wait for the first percept, and for any next one.
     pub patience: Duration,
     /// How long nothing at all may be heard once the link is up.
@@ -43,21 +48,30 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { ticks: None, tlog: None, patience: Duration::from_secs(30), silence: Duration::from_secs(5) }
+        Self {
+            ticks: None,
+            tlog: None,
+            outs: Vec::new(),
+            patience: Duration::from_secs(30),
+            silence: Duration::from_secs(5),
+        }
     }
 }
 
 /// Why a flight has ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Ended {
     /// After its last tick.
+    #[default]
     Over,
     /// By Ctrl-C.
     Interrupted,
+    /// The operator has changed the vehicle's mode, and flies.
+    TakenOver,
 }
 
 /// A flight from the station's side.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Flight {
     /// Why it has ended.
     pub ended: Ended,
@@ -72,6 +86,10 @@ pub struct Flight {
     pub repeats: u64,
     /// What arrived.
     pub packets: Counts,
+    /// Frames of the vehicle that never came.
+    pub lost: u64,
+    /// Setpoints of others that were kept from the vehicle.
+    pub held_back: u64,
     /// Reports and pictures that did not fit.
     pub misfits: u64,
 }
@@ -86,34 +104,10 @@ pub async fn fly(
     let mut shell = Shell::open(connect, scenario, options).await?;
     let mut beat = interval(HEARTBEAT);
     let mut resend = Backoff::default();
-    let mut buffer = vec![0; 65_536];
     loop {
         shell.check()?;
         tokio::select! {
-            received = shell.socket.recv_from(&mut buffer) => {
-                let arrived = Instant::now();
-                let Some((length, from)) = heard(received).await else { continue };
-                for event in shell.datagram(&buffer[..length], from)? {
-                    match event {
-                        Event::Percept(percept) => {
-                            shell.percept(&percept, arrived);
-                            if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
-                                return shell.over(percept).await;
-                            }
-                            let command = shell.remote.command(&station(&percept));
-                            shell.send(&command).await?;
-                            shell.flight.last = Some(percept);
-                            shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
-                            resend = Backoff::default();
-                        }
-                        Event::Repeat(_) => {
-                            shell.flight.repeats += 1;
-                            shell.repeat().await?;
-                        }
-                        Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
-                    }
-                }
-            }
+            turned = shell.hub.turn() => turned?,
             () = resend.elapsed() => {
                 shell.repeat().await?;
                 resend.lengthen();
@@ -121,29 +115,47 @@ pub async fn fly(
             _ = beat.tick() => shell.beat().await?,
             _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted),
         }
-    }
-}
-
-/// Errors of a UDP socket are about earlier sendings ("connection refused"): the vehicle may come yet.
-async fn heard(received: io::Result<(usize, SocketAddr)>) -> Option<(usize, SocketAddr)> {
-    match received {
-        Ok(found) => Some(found),
-        Err(error) => {
-            tracing::debug!("receiving: {error}");
-            sleep(Duration::from_millis(1)).await;
-            None
+        for notice in shell.hub.notices() {
+            tell(&notice, &shell.hub);
+            if matches!(notice, Notice::ModeChange(_)) {
+                return shell.taken_over("mode changed").await;
+            }
+        }
+        let arrived = shell.hub.arrived();
+        while let Some(datagram) = shell.hub.take() {
+            for event in shell.datagram(&datagram) {
+                match event {
+                    Event::Percept(percept) => {
+                        shell.percept(&percept, arrived);
+                        if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
+                            return shell.over(percept).await;
+                        }
+                        let command = shell.remote.command(&station(&percept));
+                        shell.hub.send(&command).await?;
+                        shell.flight.last = Some(percept);
+                        shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                        resend = Backoff::default();
+                    }
+                    Event::Repeat(_) => {
+                        shell.flight.repeats += 1;
+                        shell.repeat().await?;
+                    }
+                    Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    Event::LeftGuided(mode) => {
+                        return shell.taken_over(&format!("vehicle is in mode {mode}")).await;
+                    }
+                }
+            }
         }
     }
 }
 
-/// Socket, peer and log of a flight.
+/// Sockets and protocol of a flight.
 struct Shell<'a> {
     connect: &'a Endpoint,
     options: &'a Options,
-    socket: UdpSocket,
-    peer: Option<SocketAddr>,
+    hub: Hub,
     remote: Remote,
-    tlog: Option<Tlog<BufWriter<File>>>,
     first_percept: Option<Instant>,
     last_percept: Instant,
     last_heard: Option<Instant>,
@@ -153,34 +165,26 @@ struct Shell<'a> {
 
 impl<'a> Shell<'a> {
     async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
-        let tlog = match &options.tlog {
-            Some(path) => {
-                let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
-                Some(Tlog::new(BufWriter::new(file)))
-            }
-            None => None,
-        };
-        let (socket, peer) = connect.open().await?;
+        let mut hub = Hub::default();
+        hub.local();
+        hub.open(connect).await?;
+        for out in &options.outs {
+            let shown = hub.open(out).await?;
+            tracing::info!("out: {shown}");
+        }
+        if let Some(path) = &options.tlog {
+            hub.log_to(path)?;
+        }
         Ok(Self {
             connect,
             options,
-            socket,
-            peer,
+            hub,
             remote: Remote::new(scenario),
-            tlog,
             first_percept: None,
             last_percept: Instant::now(),
             last_heard: None,
             interval_s: scenario.scale.interval_s,
-            flight: Flight {
-                ended: Ended::Over,
-                last: None,
-                latencies_us: Vec::new(),
-                wall: Duration::ZERO,
-                repeats: 0,
-                packets: Counts::default(),
-                misfits: 0,
-            },
+            flight: Flight::default(),
         })
     }
 
@@ -212,23 +216,16 @@ impl<'a> Shell<'a> {
         }
     }
 
-    fn datagram(&mut self, bytes: &[u8], from: SocketAddr) -> Result<Vec<Event>> {
+    fn datagram(&mut self, bytes: &[u8]) -> Vec<Event> {
+        let (known, good) = (self.remote.system(), self.remote.counts().frames);
         let events = self.remote.datagram(bytes);
-        let heard = self.remote.take_heard();
-        if !heard.is_empty() {
+        if self.remote.counts().frames > good {
             self.last_heard = Some(Instant::now());
-            // Who listens answers to where the vehicle speaks from.
-            if self.connect.direction == sitl::link::endpoint::Direction::In {
-                self.peer = Some(from);
-            }
         }
-        if let Some(tlog) = &mut self.tlog {
-            let now = SystemTime::now();
-            for packet in &heard {
-                tlog.frame(&packet.raw, now).context("writing the tlog")?;
-            }
+        if known.is_none() && self.remote.system().is_some() {
+            self.hub.hold(self.remote.system());
         }
-        Ok(events)
+        events
     }
 
     fn percept(&mut self, percept: &Percept, arrived: Instant) {
@@ -241,25 +238,14 @@ impl<'a> Shell<'a> {
     /// Something is missing.
     async fn repeat(&mut self) -> Result<()> {
         for datagram in self.remote.repeat() {
-            self.send(&datagram).await?;
+            self.hub.send(&datagram).await?;
         }
         Ok(())
     }
 
     async fn beat(&mut self) -> Result<()> {
         let datagram = self.remote.heartbeat();
-        self.send(&datagram).await
-    }
-
-    async fn send(&mut self, datagram: &[u8]) -> Result<()> {
-        let Some(peer) = self.peer else { return Ok(()) };
-        if let Some(tlog) = &mut self.tlog {
-            tlog.datagram(datagram, SystemTime::now()).context("writing the tlog")?;
-        }
-        if let Err(error) = self.socket.send_to(datagram, peer).await {
-            tracing::debug!(%peer, "sending: {error}");
-        }
-        Ok(())
+        self.hub.send(&datagram).await
     }
 
     /// The last percept is here: says so often enough for a path that loses datagrams.
@@ -270,26 +256,54 @@ impl<'a> Shell<'a> {
                 sleep(pause).await;
             }
             let datagram = self.remote.acknowledgement(percept.telemetry.tick);
-            self.send(&datagram).await?;
+            self.hub.send(&datagram).await?;
         }
         self.flight.last = Some(percept);
         self.end(Ended::Over)
     }
 
-    fn end(mut self, ended: Ended) -> Result<Flight> {
-        if let Some(tlog) = &mut self.tlog {
-            tlog.flush().context("writing the tlog")?;
+    /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
+    /// this program, goes on passing their messages to and fro, until Ctrl-C or silence.
+    async fn taken_over(mut self, why: &str) -> Result<Flight> {
+        self.flight.held_back = self.hub.router().held_back();
+        self.hub.hold(None);
+        tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
+        let said =
+            self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
+        self.hub.send(&said).await?;
+        let mut beat = interval(HEARTBEAT);
+        let mut heard = Instant::now();
+        while !self.options.outs.is_empty() && heard.elapsed() < self.options.silence {
+            tokio::select! {
+                turned = self.hub.turn() => turned?,
+                _ = beat.tick() => self.beat().await?,
+                _ = tokio::signal::ctrl_c() => break,
+            }
+            while let Some(datagram) = self.hub.take() {
+                self.remote.datagram(&datagram);
+                heard = Instant::now();
+            }
         }
-        let (packets, misfits) = (self.remote.counts(), self.remote.misfits());
-        Ok(Flight { ended, packets, misfits, ..self.flight })
+        self.end(Ended::TakenOver)
+    }
+
+    fn end(mut self, ended: Ended) -> Result<Flight> {
+        self.hub.flush_log()?;
+        let held_back = self.flight.held_back.max(self.hub.router().held_back());
+        let lost = self.hub.rows().iter().map(|row| row.counters.lost).sum();
+        let (packets, misfits) = (self.hub.counts(), self.remote.misfits());
+        Ok(Flight { ended, packets, lost, held_back, misfits, ..self.flight })
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::net::SocketAddr;
+
     use sitl::Sim;
     use sitl::msg::TxPower;
     use sitl::vehicle::Vehicle;
+    use tokio::net::UdpSocket;
 
     use super::*;
 

@@ -7,6 +7,9 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use gcs::demo::{self, Flight};
 use gcs::fly::{self, Options};
+use gcs::foreign::guide::Stack;
+use gcs::foreign::{self, Foreign};
+use gcs::outs::{self, Out};
 use gcs::pilot::Controller;
 use gcs::report;
 use gcs::run::{self, Brain, Summary};
@@ -38,6 +41,14 @@ enum Command {
     Merge(merge::Merge),
     /// Draw the paper's figures: one page, SVG, PNG, CSV and text.
     Report(report::Report),
+    /// Share a vehicle among tools: a MAVLink router with counters.
+    Bridge(gcs::bridge::Bridge),
+    /// List, read, set, load and save a vehicle's parameters.
+    Param(gcs::params::Params),
+    /// Upload, download and clear a vehicle's mission.
+    Mission(gcs::missions::Missions),
+    /// Send a flight that is over to whoever watches, from its tlog or its record.
+    Replay(gcs::replay::Replay),
     /// Run the vehicle: the same program as `sitl`.
     Sitl(sitl::cli::Args),
 }
@@ -95,9 +106,10 @@ struct Demo {
     /// How many times faster than real time.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     speedup: f64,
-    /// Folder for the run folders, one a controller.
-    #[arg(long, value_name = "DIR", default_value = "runs/demo")]
-    out: PathBuf,
+    /// Folder for the run folders, one a controller [default: runs/demo]; or who may watch the flights:
+    /// udpout:HOST:PORT and the like, several if given again
+    #[arg(long, value_name = "DIR|ENDPOINT")]
+    out: Vec<Out>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -110,24 +122,56 @@ struct Fly {
     /// udpout:HOST:PORT of a vehicle that listens, udpin:HOST:PORT to wait for one that speaks first.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Endpoint,
+    /// What is flown: our own vehicle, or a foreign autopilot, which is armed and taken off.
+    #[arg(long, value_enum, default_value = "sitl")]
+    vehicle: Vehicle,
+    /// System id of a foreign vehicle [default: the first that is heard].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    sysid: Option<u8>,
+    /// How many times faster than real time a foreign vehicle's simulator runs.
+    #[arg(long, value_name = "X", default_value = "1", value_parser = sitl::cli::parse_speedup)]
+    speedup: f64,
     /// Who flies.
     #[arg(long, value_enum, default_value = "crpl")]
     controller: Controller,
     /// End after N control intervals [default: the scenario's horizon].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
-    /// Run folder.
-    #[arg(long, value_name = "DIR", default_value = "runs/flight")]
-    out: PathBuf,
+    /// Run folder [default: runs/flight]; or who may watch the flight, and take it over by a change of
+    /// mode: udpout:HOST:PORT and the like, several if given again
+    #[arg(long, value_name = "DIR|ENDPOINT")]
+    out: Vec<Out>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
+}
+
+/// Whose rules a vehicle follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Vehicle {
+    /// Our own
+    Sitl,
+    /// ArduCopter, flown in GUIDED
+    Ardupilot,
+    /// PX4, flown in OFFBOARD
+    Px4,
+}
+
+impl Vehicle {
+    fn foreign(self) -> Option<Stack> {
+        match self {
+            Self::Sitl => None,
+            Self::Ardupilot => Some(Stack::Ardupilot),
+            Self::Px4 => Some(Stack::Px4),
+        }
+    }
 }
 
 async fn demo(args: Demo) -> Result<()> {
     let scenario = args.task.scenario(demo::scenario)?;
     let brain = args.task.brain()?;
     let mut flights = Vec::new();
+    let (out, outs) = outs::sorted(&args.out, "runs/demo");
     for controller in args.controller {
         let flight = Flight {
             controller,
@@ -135,38 +179,51 @@ async fn demo(args: Demo) -> Result<()> {
             seed: args.seed,
             pace: args.pace,
             speedup: args.speedup,
+            outs: &outs,
         };
-        let dir = args.out.join(controller.to_string());
+        let dir = out.join(controller.to_string());
         let Some(summary) = demo::fly(&brain, &flight, &dir).await? else { break };
         flights.push(summary);
     }
     report(&flights, args.json)?;
     if !args.json {
-        println!("records, tlog and plot in {}", args.out.display());
+        println!("records, tlog and plot in {}", out.display());
     }
     Ok(())
 }
 
 async fn fly(args: Fly) -> Result<()> {
-    let scenario = args.task.scenario(|| Ok(Scenario::default()))?;
+    let foreign = args.vehicle.foreign();
+    let scenario = args.task.scenario(|| match foreign {
+        Some(_) => foreign::scenario(),
+        None => Ok(Scenario::default()),
+    })?;
     let mut station = args.task.brain()?.station(args.controller, &scenario)?;
-    run::begin(&args.out, &scenario)?;
+    let (out, outs) = outs::sorted(&args.out, "runs/flight");
+    run::begin(&out, &scenario)?;
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
-        tlog: Some(args.out.join("flight.tlog")),
+        tlog: Some(out.join("flight.tlog")),
+        outs,
         ..Options::default()
     };
     tracing::info!(controller = %args.controller, scenario = scenario.name, "connecting to {}", args.connect);
-    let flown = fly::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?;
+    let flown = match foreign {
+        Some(stack) => {
+            let how = Foreign { stack, system: args.sysid, speedup: args.speedup };
+            foreign::fly(&args.connect, &scenario, &how, &options, |p| station.handle(p)).await?
+        }
+        None => fly::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?,
+    };
     if let Some(last) = &flown.last {
         station.finish(last);
     }
     let summary = Summary::of(args.controller, None, &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(&args.out, &summary, station.records(), &scenario)?;
+    run::end(&out, &summary, station.records(), &scenario)?;
     report(std::slice::from_ref(&summary), args.json)?;
     if !args.json {
-        println!("records, tlog and plot in {}", args.out.display());
+        println!("records, tlog and plot in {}", out.display());
     }
     Ok(())
 }
@@ -186,6 +243,10 @@ fn run_command(command: Command) -> Result<()> {
     match command {
         Command::Demo(args) => runtime.block_on(demo(args)),
         Command::Fly(args) => runtime.block_on(fly(args)),
+        Command::Bridge(args) => runtime.block_on(gcs::bridge::run(args)),
+        Command::Param(args) => runtime.block_on(gcs::params::run(args)),
+        Command::Mission(args) => runtime.block_on(gcs::missions::run(args)),
+        Command::Replay(args) => runtime.block_on(gcs::replay::run(args)),
         Command::Sitl(args) => runtime.block_on(sitl::cli::run(args)),
         Command::Episodes(args) => episodes::run(&args),
         Command::Sweep(args) => sweep::run(&args),

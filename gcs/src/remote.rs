@@ -10,7 +10,7 @@ use std::sync::Arc;
 use sitl::Scenario;
 use sitl::camera::Frame;
 use sitl::link::decoder::{Counts, Decoder, Packet};
-use sitl::link::dialect::{self, MavAutopilot, MavMessage, MavModeFlag, MavState, MavType};
+use sitl::link::dialect::{self, MavAutopilot, MavMessage, MavModeFlag, MavSeverity, MavState, MavType};
 use sitl::link::encoder::Encoder;
 use sitl::link::image::{self, Reassembler};
 use sitl::link::wire::{self, Clock, TelemetryReader};
@@ -27,7 +27,12 @@ pub enum Event {
     Repeat(Tick),
     /// STATUSTEXT: severity 0 (emergency) to 7 (debug), text.
     Text(u8, String),
+    /// The vehicle has left GUIDED for this mode (ArduCopter's numbers): somebody else flies it.
+    LeftGuided(u32),
 }
+
+/// ArduCopter's number of the mode in which a vehicle takes setpoints.
+const GUIDED: u32 = 4;
 
 /// The far end of the link.
 #[derive(Debug)]
@@ -46,7 +51,8 @@ pub struct Remote {
     command: Option<Command>,
     /// Repeats since the newest percept.
     repeats: u32,
-    heard: Vec<Packet>,
+    /// Of the newest heartbeat.
+    mode: Option<u32>,
 }
 
 /// Repeats without a new percept after which the pictures are asked for again.
@@ -68,7 +74,7 @@ impl Remote {
             newest: None,
             command: None,
             repeats: 0,
-            heard: Vec::new(),
+            mode: None,
         }
     }
 
@@ -85,7 +91,6 @@ impl Remote {
                 self.packet(packet, &mut events);
             }
         }
-        self.heard.extend(packets);
         events
     }
 
@@ -108,6 +113,11 @@ impl Remote {
         {
             let text = message.text.to_str().unwrap_or_default().to_owned();
             events.push(Event::Text(message.severity as u8, text));
+        } else if packet.is::<dialect::HEARTBEAT_DATA>() && packet.component == AUTOPILOT {
+            let mode = packet.fields().u32(0);
+            if self.mode.replace(mode) == Some(GUIDED) && mode != GUIDED {
+                events.push(Event::LeftGuided(mode));
+            }
         }
         events.extend(self.complete().map(Event::Percept));
     }
@@ -171,6 +181,14 @@ impl Remote {
         datagram
     }
 
+    /// A STATUSTEXT of the station, at most 50 bytes.
+    pub fn text(&mut self, severity: MavSeverity, text: &str) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        let message = dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+        self.station.push(&mut datagram, &message);
+        datagram
+    }
+
     /// The request for a stream of pictures.
     pub fn image_request(&mut self) -> Vec<u8> {
         let mut datagram = Vec::new();
@@ -188,11 +206,6 @@ impl Remote {
     #[must_use]
     pub fn newest(&self) -> Option<Tick> {
         self.newest
-    }
-
-    /// The good frames since the last call, for the log.
-    pub fn take_heard(&mut self) -> Vec<Packet> {
-        std::mem::take(&mut self.heard)
     }
 
     /// What arrived so far.

@@ -14,7 +14,7 @@ use sitl::Scenario;
 use sitl::radio::Fates;
 use sitl::record::{Metrics, Record};
 
-use crate::fly::Flight;
+use crate::fly::{Ended, Flight};
 use crate::lab::figures;
 use crate::pilot::crpl_exact_latents::Memory;
 use crate::pilot::{Controller, Pilot, rcc, ucc};
@@ -111,6 +111,12 @@ pub struct Summary {
     pub latency_ms: Latency,
     /// Simulated over real time.
     pub real_time_factor: f64,
+    /// Frames that the link has lost, by their sequence numbers.
+    pub frames_lost: u64,
+    /// Whether the flight ended because the operator took the vehicle over.
+    pub taken_over: bool,
+    /// Setpoints of others that were kept from the vehicle.
+    pub setpoints_held_back: u64,
 }
 
 /// Percentiles, ms.
@@ -144,6 +150,9 @@ impl Summary {
             missed: station.missed(),
             latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
             real_time_factor: simulated / flight.wall.as_secs_f64(),
+            frames_lost: flight.lost,
+            taken_over: flight.ended == Ended::TakenOver,
+            setpoints_held_back: flight.held_back,
         })
     }
 }
@@ -229,5 +238,14 @@ pub fn table(flights: &[Summary]) -> String {
             text += &format!("{:>12}", cell(flight));
         }
     }
-    text + "\n"
+    text.push('\n');
+    for flight in flights.iter().filter(|flight| flight.taken_over) {
+        let ticks = flight.metrics.ticks;
+        text += &format!("{}: the operator took over after {ticks} intervals\n", flight.controller);
+    }
+    for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {
+        let count = flight.setpoints_held_back;
+        text += &format!("{}: {count} setpoints of others kept from the vehicle\n", flight.controller);
+    }
+    text
 }

@@ -105,7 +105,8 @@ impl From<SigningPolicy> for Policy {
     }
 }
 
-fn parse_speedup(text: &str) -> Result<f64, String> {
+/// A number above 0.
+pub fn parse_speedup(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
         _ => Err("must be a number above 0".into()),
@@ -275,6 +276,22 @@ fn say(line: &str) {
     use std::io::Write;
     let mut stdout = std::io::stdout().lock();
     let _ = writeln!(stdout, "{line}").and_then(|()| stdout.flush());
+}
+
+/// Returns on Ctrl-C, or when asked to end (SIGTERM), as `docker stop` and service managers do.
+pub async fn interrupted() {
+    #[cfg(unix)]
+    {
+        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
+        if let Ok(mut terminate) = terminate {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
 }
 
 /// The whole program: parses the flags, logs to stderr, flies, and tells an error in one line.

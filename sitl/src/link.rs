@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`crc`] | the checksum of frames |
 //! | [`decoder`] | datagrams to packets, through garbage, bad CRCs and frames cut in two |
+//! | [`frame`] | bytes to frames of any kind, uncopied, for whoever passes them on |
 //! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
@@ -21,6 +22,7 @@ pub mod crc;
 pub mod decoder;
 pub mod encoder;
 pub mod endpoint;
+pub mod frame;
 pub mod image;
 pub mod links;
 pub mod param_file;
@@ -30,6 +32,8 @@ pub mod wire;
 
 use std::net::SocketAddr;
 
+/// What the dialect knows of a message's type: its id, its length.
+pub use mavlink::MessageData;
 /// The dialect that both programs speak.
 pub use mavlink::dialects::common as dialect;
 

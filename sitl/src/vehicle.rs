@@ -28,7 +28,7 @@ mod battery;
 mod commands;
 mod failsafe;
 mod files;
-mod geodesy;
+pub mod geodesy;
 mod guidance;
 mod height;
 mod messages;

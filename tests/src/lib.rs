@@ -4,6 +4,7 @@
 //! The tests themselves lie in `tests/`, what they do in Python in `python/`. Nothing here knows what
 //! a flight is.
 
+pub mod fake_autopilot;
 pub mod golden;
 pub mod program;
 pub mod python;

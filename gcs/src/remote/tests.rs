@@ -102,7 +102,7 @@ fn through(fate: impl Fn(u64) -> Fate) -> (Vec<Percept>, sitl::radio::Fates) {
                             percepts.push(percept);
                         }
                         Event::Repeat(_) => down.extend(remote.repeat()),
-                        Event::Text(..) => {}
+                        Event::Text(..) | Event::LeftGuided(_) => {}
                     }
                 }
             }
@@ -163,6 +163,23 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
     assert_eq!(sequence, [0, 1, 2, 3]);
     assert_eq!(packets[2].fields().u8(30), 9, "the command's target");
     assert!(packets.iter().all(|p| (p.system, p.component) == (255, 190)));
+}
+
+#[test]
+fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
+    let mut remote = Remote::new(&scenario());
+    let (mut ours, mut other) = (Encoder::new(9, 1), Encoder::new(8, 1));
+    let mut heartbeat = |encoder: &mut Encoder, custom_mode| {
+        let mut bytes = Vec::new();
+        encoder.push(&mut bytes, &dialect::HEARTBEAT_DATA { custom_mode, ..Default::default() });
+        remote.datagram(&bytes)
+    };
+    assert_eq!(heartbeat(&mut ours, 0), []);
+    assert_eq!(heartbeat(&mut ours, 4), []);
+    assert_eq!(heartbeat(&mut other, 4), []);
+    assert_eq!(heartbeat(&mut other, 9), []);
+    assert_eq!(heartbeat(&mut ours, 9), [Event::LeftGuided(9)]);
+    assert_eq!(heartbeat(&mut ours, 9), []);
 }
 
 #[test]

@@ -49,13 +49,20 @@ impl Encoder {
         payload[2] = result as u8;
         payload[8] = to.0;
         payload[9] = to.1;
+        self.push_payload::<Ack>(datagram, &payload);
+    }
+
+    /// Appends a frame of message `M` with this payload, whatever values it holds: the dialect's types
+    /// refuse commands and enum values that they have no name for. Zeros at its end are cut.
+    pub fn push_payload<M: MessageData>(&mut self, datagram: &mut Vec<u8>, payload: &[u8]) {
         let length = payload.iter().rposition(|&byte| byte != 0).map_or(1, |last| last + 1);
-        let [id0, id1, id2, _] = Ack::ID.to_le_bytes();
+        debug_assert!(length <= M::ENCODED_LEN, "{} is {} bytes long at most", M::NAME, M::ENCODED_LEN);
+        let [id0, id1, id2, _] = M::ID.to_le_bytes();
         let start = datagram.len();
         let sequence = self.next_sequence();
         datagram.extend([0xFD, length as u8, 0, 0, sequence, self.system, self.component, id0, id1, id2]);
         datagram.extend_from_slice(&payload[..length]);
-        let crc = calculate_crc(&datagram[start + 1..], Ack::EXTRA_CRC);
+        let crc = calculate_crc(&datagram[start + 1..], M::EXTRA_CRC);
         datagram.extend(crc.to_le_bytes());
     }
 

@@ -111,7 +111,7 @@ impl Endpoint {
     }
 
     /// The first address of its host.
-    pub(super) async fn address(&self) -> Result<SocketAddr, OpenError> {
+    pub async fn address(&self) -> Result<SocketAddr, OpenError> {
         let failed = |why: String| OpenError::Lookup { endpoint: self.clone(), why };
         let mut found = lookup_host(format!("{}:{}", self.host, self.port))
             .await

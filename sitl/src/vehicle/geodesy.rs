@@ -6,13 +6,13 @@
 //! the equator's radius, as autopilots do; over 500 m that is right to millimetres.
 
 /// Home: latitude and longitude in degrees, height above sea level in metres.
-pub(super) const HOME: [f64; 3] = [47.397_742, 8.545_594, 488.0];
+pub const HOME: [f64; 3] = [47.397_742, 8.545_594, 488.0];
 
 const EARTH_M: f64 = 6_378_137.0;
 const GRAVITY: f64 = 9.806_65;
 
 /// Latitude and longitude of a point this far north and east of home, in 1e-7 degrees.
-pub(super) fn latitude_longitude([north, east]: [f32; 2]) -> [i32; 2] {
+pub fn latitude_longitude([north, east]: [f32; 2]) -> [i32; 2] {
     let latitude = HOME[0] + (f64::from(north) / EARTH_M).to_degrees();
     let around = EARTH_M * HOME[0].to_radians().cos();
     let longitude = HOME[1] + (f64::from(east) / around).to_degrees();
@@ -20,7 +20,7 @@ pub(super) fn latitude_longitude([north, east]: [f32; 2]) -> [i32; 2] {
 }
 
 /// North and east of home, metres, of a latitude and a longitude in degrees.
-pub(super) fn north_east([latitude, longitude]: [f64; 2]) -> [f32; 2] {
+pub fn north_east([latitude, longitude]: [f64; 2]) -> [f32; 2] {
     let north = (latitude - HOME[0]).to_radians() * EARTH_M;
     let east = (longitude - HOME[1]).to_radians() * EARTH_M * HOME[0].to_radians().cos();
     [north as f32, east as f32]
@@ -28,7 +28,7 @@ pub(super) fn north_east([latitude, longitude]: [f64; 2]) -> [f32; 2] {
 
 /// Roll and pitch, radians, at which the thrust of a level, north-looking multirotor accelerates it
 /// north and east by this much, m/s²: a_n = -g tan θ, a_e = g tan φ / cos θ.
-pub(super) fn tilt([north, east]: [f32; 2]) -> [f32; 2] {
+pub fn tilt([north, east]: [f32; 2]) -> [f32; 2] {
     let pitch = -(f64::from(north) / GRAVITY).atan();
     let roll = (f64::from(east) * pitch.cos() / GRAVITY).atan();
     [roll as f32, pitch as f32]

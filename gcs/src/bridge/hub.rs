@@ -1,0 +1,343 @@
+//! The sockets around a [`Router`]: UDP and TCP, listening and speaking first, read in bursts.
+//!
+//! A program that flies has a link of its own in it ([`Hub::local`]), so whoever watches through
+//! the same program hears all that it says. Knows no message.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::File;
+use std::future::poll_fn;
+use std::io::{self, BufWriter, ErrorKind};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::pin::pin;
+use std::task::Poll;
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Context, Result};
+use sitl::link::decoder::Counts;
+use sitl::link::endpoint::{Direction, Endpoint, Transport};
+use sitl::link::tlog::Tlog;
+use tokio::net::UdpSocket;
+use tokio::time::Instant;
+
+use super::counters::{Histogram, Row};
+use super::router::{LinkId, Notice, Router};
+use super::tcp::{Streams, TcpEvent};
+
+/// Datagrams that are read from one socket before the others have their turn.
+const BURST: usize = 128;
+/// Peers of one listening socket; the one silent for longest makes room for a new one.
+const MAX_PEERS: usize = 64;
+
+/// A UDP socket and those behind it.
+#[derive(Debug)]
+struct UdpPort {
+    endpoint: String,
+    socket: UdpSocket,
+    /// Whether others than the first peer may speak.
+    open: bool,
+    peers: Vec<Peer>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Peer {
+    address: SocketAddr,
+    link: LinkId,
+    heard: Duration,
+}
+
+/// Where a link's datagrams leave.
+#[derive(Debug, Clone, Copy)]
+enum Exit {
+    Local,
+    Udp(usize, SocketAddr),
+    Tcp,
+}
+
+/// Sockets and router.
+#[derive(Debug)]
+pub struct Hub {
+    router: Router,
+    ports: Vec<UdpPort>,
+    streams: Streams,
+    exits: BTreeMap<LinkId, Exit>,
+    local: Option<LinkId>,
+    heard: VecDeque<Vec<u8>>,
+    tlog: Option<Tlog<BufWriter<File>>>,
+    forward: Histogram,
+    start: Instant,
+    /// When the last burst was there to be read.
+    arrived: Instant,
+    buffer: Vec<u8>,
+}
+
+impl Default for Hub {
+    fn default() -> Self {
+        Self {
+            router: Router::default(),
+            ports: Vec::new(),
+            streams: Streams::default(),
+            exits: BTreeMap::new(),
+            local: None,
+            heard: VecDeque::new(),
+            tlog: None,
+            forward: Histogram::default(),
+            start: Instant::now(),
+            arrived: Instant::now(),
+            buffer: vec![0; 65_536],
+        }
+    }
+}
+
+impl Hub {
+    /// Opens an endpoint; gives it with the port that the system chose, as one line to print.
+    pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
+        if endpoint.transport == Transport::Tcp {
+            return self.streams.open(endpoint).await;
+        }
+        let (socket, peer) = endpoint.open().await?;
+        let local = socket.local_addr().context("reading the socket's address")?;
+        let port = self.ports.len();
+        let mut peers = Vec::new();
+        if let Some(address) = peer {
+            let link = self.router.add(endpoint.to_string());
+            self.exits.insert(link, Exit::Udp(port, address));
+            peers.push(Peer { address, link, heard: Duration::ZERO });
+        }
+        let open = endpoint.direction == Direction::In;
+        let name = if open { format!("udpin:{local}") } else { endpoint.to_string() };
+        self.ports.push(UdpPort { endpoint: name.clone(), socket, open, peers });
+        Ok(if open {
+            format!("listening on {name}")
+        } else {
+            format!("sending to {name} from port {}", local.port())
+        })
+    }
+
+    /// The link of this program itself.
+    pub fn local(&mut self) -> LinkId {
+        let router = &mut self.router;
+        let link = *self.local.get_or_insert_with(|| router.add("this program".into()));
+        self.exits.insert(link, Exit::Local);
+        link
+    }
+
+    /// Writes every frame that passes into a tlog.
+    pub fn log_to(&mut self, path: &Path) -> Result<()> {
+        let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
+        self.tlog = Some(Tlog::new(BufWriter::new(file)));
+        Ok(())
+    }
+
+    /// Hands the tlog to the file.
+    pub fn flush_log(&mut self) -> Result<()> {
+        self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")
+    }
+
+    /// What to keep from whom: see [`Router::hold`]. Only for a program with a link of its own.
+    pub fn hold(&mut self, vehicle: Option<u8>) {
+        let local = self.local();
+        self.router.hold(vehicle.map(|vehicle| (vehicle, local)));
+    }
+
+    /// What has happened since the last call.
+    pub fn notices(&mut self) -> Vec<Notice> {
+        self.router.notices()
+    }
+
+    /// The router, to look at.
+    #[must_use]
+    pub fn router(&self) -> &Router {
+        &self.router
+    }
+
+    /// All links with their counters.
+    #[must_use]
+    pub fn rows(&self) -> Vec<Row<'_>> {
+        self.router.links().map(|(name, systems, counters)| Row { name, systems, counters }).collect()
+    }
+
+    /// From reading a burst to having sent what it holds.
+    #[must_use]
+    pub fn forward(&self) -> &Histogram {
+        &self.forward
+    }
+
+    /// When the last burst was there to be read.
+    #[must_use]
+    pub fn arrived(&self) -> Instant {
+        self.arrived
+    }
+
+    /// Good and bad frames of all peers together.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        let peers = self.router.links().map(|(_, _, counters)| counters.frames);
+        let ours = self.local.and_then(|id| self.router.counters(id)).map(|c| c.frames.frames);
+        let all = peers.fold(Counts::default(), Counts::plus);
+        Counts { frames: all.frames - ours.unwrap_or_default(), ..all }
+    }
+
+    /// Time since the hub began, the router's clock.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    /// Bytes for this program, one datagram, if any are there.
+    pub fn take(&mut self) -> Option<Vec<u8>> {
+        self.heard.pop_front()
+    }
+
+    /// Sends what this program says.
+    pub async fn send(&mut self, datagram: &[u8]) -> Result<()> {
+        let local = self.local();
+        self.receive(local, datagram)?;
+        self.flush().await;
+        Ok(())
+    }
+
+    /// Waits until something comes in, and passes on the burst that is there.
+    ///
+    /// Cancel-safe: nothing that was read is lost.
+    pub async fn turn(&mut self) -> Result<()> {
+        let event = {
+            let mut stream = pin!(self.streams.next());
+            let ports = &self.ports;
+            poll_fn(|cx| {
+                if let Poll::Ready(event) = stream.as_mut().poll(cx) {
+                    return Poll::Ready(Some(event));
+                }
+                let ready = ports.iter().filter(|p| p.socket.poll_recv_ready(cx).is_ready()).count();
+                if ready > 0 { Poll::Ready(None) } else { Poll::Pending }
+            })
+            .await
+        };
+        self.arrived = Instant::now();
+        if let Some(event) = event {
+            self.stream_event(event)?;
+        }
+        for port in 0..self.ports.len() {
+            self.burst(port)?;
+        }
+        self.flush().await;
+        self.forward.add(self.arrived.elapsed());
+        Ok(())
+    }
+
+    /// Reads what a socket holds, up to a limit.
+    fn burst(&mut self, port: usize) -> Result<()> {
+        let mut buffer = std::mem::take(&mut self.buffer);
+        for _ in 0..BURST {
+            let (length, from) = match self.ports[port].socket.try_recv_from(&mut buffer) {
+                Ok(received) => received,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => break,
+                // Errors of a UDP socket are about earlier sendings; the peer may come yet.
+                Err(error) => {
+                    tracing::debug!("{}: receiving: {error}", self.ports[port].endpoint);
+                    continue;
+                }
+            };
+            if let Some(link) = self.peer(port, from) {
+                self.receive(link, &buffer[..length])?;
+            }
+        }
+        self.buffer = buffer;
+        Ok(())
+    }
+
+    /// The link of a peer, which may be new.
+    fn peer(&mut self, port: usize, address: SocketAddr) -> Option<LinkId> {
+        let now = self.elapsed();
+        let UdpPort { endpoint, open, peers, .. } = &mut self.ports[port];
+        if let Some(peer) = peers.iter_mut().find(|peer| peer.address == address) {
+            peer.heard = now;
+            return Some(peer.link);
+        }
+        if !*open {
+            // The peer may answer from another of its addresses, or of its ports: it is one link.
+            return peers.first().map(|peer| peer.link);
+        }
+        if peers.len() == MAX_PEERS
+            && let Some(oldest) = (0..peers.len()).min_by_key(|&k| peers[k].heard)
+        {
+            let gone = peers.swap_remove(oldest).link;
+            self.router.remove(gone);
+            self.exits.remove(&gone);
+        }
+        let link = self.router.add(format!("{endpoint} < {address}"));
+        tracing::info!("{endpoint}: {address} speaks");
+        peers.push(Peer { address, link, heard: now });
+        self.exits.insert(link, Exit::Udp(port, address));
+        Some(link)
+    }
+
+    fn stream_event(&mut self, event: TcpEvent) -> Result<()> {
+        match event {
+            TcpEvent::Connected { name, writer } => {
+                tracing::info!("{name}: connected");
+                let link = self.router.add(name.clone());
+                self.streams.add(name, link, writer);
+                self.exits.insert(link, Exit::Tcp);
+            }
+            TcpEvent::Bytes { name, bytes } => {
+                if let Some(link) = self.streams.link(&name) {
+                    self.receive(link, &bytes)?;
+                }
+            }
+            TcpEvent::Closed { name } => {
+                tracing::info!("{name}: closed");
+                if let Some(link) = self.streams.remove(&name) {
+                    self.router.remove(link);
+                    self.exits.remove(&link);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, from: LinkId, bytes: &[u8]) -> Result<()> {
+        let (now, time) = (self.elapsed(), SystemTime::now());
+        let Self { router, tlog, .. } = self;
+        let mut logged = Ok(());
+        router.receive(from, bytes, now, |frame| {
+            if let (Some(tlog), Ok(())) = (tlog.as_mut(), &logged) {
+                logged = tlog.frame(frame, time);
+            }
+        });
+        logged.context("writing the tlog")
+    }
+
+    async fn flush(&mut self) {
+        let Self { router, ports, streams, exits, heard, .. } = self;
+        let (mut failed, mut blocked) = (Vec::new(), Vec::new());
+        router.flush(|link, datagram| match exits.get(&link) {
+            Some(Exit::Local) => heard.push_back(datagram.to_vec()),
+            Some(Exit::Tcp) if streams.send(link, datagram) => {}
+            Some(Exit::Tcp) => failed.push((link, datagram.len())),
+            Some(&Exit::Udp(port, address)) => match ports[port].socket.try_send_to(datagram, address) {
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    blocked.push((link, port, address, datagram.to_vec()));
+                }
+                Err(error) => {
+                    tracing::debug!("{address}: sending: {error}");
+                    failed.push((link, datagram.len()));
+                }
+            },
+            None => {}
+        });
+        for (link, port, address, datagram) in blocked {
+            let sent: io::Result<_> = self.ports[port].socket.send_to(&datagram, address).await;
+            if sent.is_err() {
+                failed.push((link, datagram.len()));
+            }
+        }
+        for (link, bytes) in failed {
+            self.router.not_sent(link, bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

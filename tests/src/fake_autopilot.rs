@@ -1,0 +1,476 @@
+//! ArduCopter and PX4 as far as a station that flies accelerations meets them, built from what the
+//! real ones send, answer and refuse (ArduCopter 4.7-dev and PX4 1.18-beta, their simulators).
+//!
+//! | | ArduCopter | PX4 |
+//! |---|---|---|
+//! | unasked | heartbeats | heartbeats, LOCAL_POSITION_NED |
+//! | mode | GUIDED once the EKF has a position | OFFBOARD after more than 1 s of setpoints, else TEMPORARILY_REJECTED |
+//! | arming | FAILED and a text until its checks pass | accepted |
+//! | takeoff | NAV_TAKEOFF, armed and in GUIDED | by position setpoints |
+//! | acceleration | follows with a lag of 0.35 s, tilt-limited to 3.5 m/s² | the same up to 6 m/s², drag 1/s, sinks slowly |
+//! | everything ignored, or one axis | stops | refused with a text; holds |
+//! | not a number | poisons the controller for good | treated as absent |
+//! | silence | 3 s, then brakes | 1 s, then RTL |
+//!
+//! A state machine: time is an argument. [`Served`] puts it on a socket.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use sitl::link::decoder::{Decoder, Packet};
+use sitl::link::dialect::{
+    COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult,
+    MavSeverity, MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+};
+use sitl::link::encoder::Encoder;
+
+/// Whom it copies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stack {
+    /// ArduCopter.
+    ArduPilot,
+    /// PX4.
+    Px4,
+}
+
+const GUIDED: u32 = 4;
+const OFFBOARD: u32 = 6 << 16;
+/// AUTO.LOITER, AUTO.RTL.
+const PX4_HOLD: u32 = 4 << 16 | 3 << 24;
+const PX4_RTL: u32 = 4 << 16 | 5 << 24;
+/// Step of the dynamics, s.
+const STEP: f64 = 0.005;
+/// Length of ArduCopter's checks after its start, s.
+const CHECKS: f64 = 4.0;
+
+/// What the controller follows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Wish {
+    /// Motors off, or on and waiting.
+    Ground,
+    /// North, east, down, m/s².
+    Accel([f64; 3]),
+    Position([f64; 3]),
+    /// Brakes and stays.
+    Stop,
+}
+
+/// One autopilot with its vehicle.
+#[derive(Debug)]
+pub struct Autopilot {
+    stack: Stack,
+    /// The vehicle's own time, s.
+    time: f64,
+    mode: u32,
+    armed: bool,
+    position: [f64; 3],
+    velocity: [f64; 3],
+    accel: [f64; 3],
+    wish: Wish,
+    /// When the newest setpoint came, on the vehicle's clock, and since when they have come in a row.
+    setpoint: Option<(f64, f64)>,
+    stream_period: Option<f64>,
+    next_report: f64,
+    next_beat: f64,
+    /// Poisoned by a number that was none.
+    pub poisoned: bool,
+    /// Whether a setpoint time-out has fired.
+    pub starved: bool,
+    /// Setpoints taken as accelerations.
+    pub accelerations: u64,
+    /// Levels of transmit power that its radio was told.
+    pub powers: Vec<f32>,
+    radio: Option<Encoder>,
+    encoder: Encoder,
+    decoder: Decoder,
+    out: Vec<u8>,
+}
+
+impl Autopilot {
+    /// On the ground at `position` (north, east), just started; with a radio component or without.
+    #[must_use]
+    pub fn new(stack: Stack, position: [f64; 2], radio: bool) -> Self {
+        let px4 = stack == Stack::Px4;
+        Self {
+            stack,
+            time: 0.0,
+            mode: if px4 { PX4_HOLD } else { 0 },
+            armed: false,
+            position: [position[0], position[1], 0.0],
+            velocity: [0.0; 3],
+            accel: [0.0; 3],
+            wish: Wish::Ground,
+            setpoint: None,
+            stream_period: px4.then_some(0.02),
+            next_report: 0.0,
+            next_beat: 0.0,
+            poisoned: false,
+            starved: false,
+            accelerations: 0,
+            powers: Vec::new(),
+            radio: radio.then(|| Encoder::new(1, 68)),
+            encoder: Encoder::new(1, 1),
+            decoder: Decoder::default(),
+            out: Vec::new(),
+        }
+    }
+
+    /// North, east, down, m.
+    #[must_use]
+    pub fn position(&self) -> [f64; 3] {
+        self.position
+    }
+
+    /// HEARTBEAT.custom_mode.
+    #[must_use]
+    pub fn mode(&self) -> u32 {
+        self.mode
+    }
+
+    /// A pilot's hand changes the mode.
+    pub fn set_mode(&mut self, mode: u32) {
+        self.mode = mode;
+        self.wish = Wish::Stop;
+    }
+
+    fn controlled(&self) -> bool {
+        self.mode == if self.stack == Stack::Px4 { OFFBOARD } else { GUIDED }
+    }
+
+    /// Goes on to `time` (seconds of the vehicle's clock); gives what it sends meanwhile. `factor` is
+    /// how much faster than the wall its clock runs: PX4 stretches its time-outs by it.
+    pub fn advance(&mut self, time: f64, factor: f64) -> Vec<u8> {
+        while self.time + STEP <= time {
+            self.time += STEP;
+            self.watch(factor);
+            self.fly();
+            self.report();
+        }
+        std::mem::take(&mut self.out)
+    }
+
+    /// Setpoint time-outs.
+    fn watch(&mut self, factor: f64) {
+        let Some((newest, _)) = self.setpoint else { return };
+        let silent = self.time - newest;
+        match self.stack {
+            Stack::ArduPilot if self.controlled() && matches!(self.wish, Wish::Accel(_)) && silent > 3.0 => {
+                self.wish = Wish::Stop;
+                self.starved = true;
+            }
+            Stack::Px4 if silent > factor => {
+                self.setpoint = None;
+                if self.controlled() && self.armed {
+                    self.set_mode(PX4_RTL);
+                    self.starved = true;
+                    self.say(MavSeverity::MAV_SEVERITY_CRITICAL, "Failsafe activated");
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn fly(&mut self) {
+        let on_ground = self.position[2] >= -0.01;
+        let px4 = self.stack == Stack::Px4;
+        let (limit, drag) = if px4 { (6.0, 1.0) } else { (3.5, 0.0) };
+        let mut asked = match self.wish {
+            Wish::Ground => return,
+            Wish::Accel(accel) => accel,
+            Wish::Stop => self.velocity.map(|v| -1.5 * v),
+            Wish::Position(target) => std::array::from_fn(|k| {
+                let speed = (0.8 * (target[k] - self.position[k])).clamp(-2.5, 2.5);
+                2.0 * (speed - self.velocity[k])
+            }),
+        };
+        if self.poisoned {
+            asked = [limit; 3];
+        }
+        let level = asked[0].hypot(asked[1]);
+        if level > limit {
+            asked = [asked[0] * limit / level, asked[1] * limit / level, asked[2]];
+        }
+        // PX4 held by accelerations alone sinks slowly.
+        let sink = if px4 && matches!(self.wish, Wish::Accel(_)) { 0.05 } else { 0.0 };
+        for k in 0..3 {
+            self.accel[k] += (asked[k] - self.accel[k]) * STEP / 0.35;
+            let drag = if k < 2 && !matches!(self.wish, Wish::Position(_)) { drag } else { 0.0 };
+            let extra = if k == 2 { sink } else { 0.0 };
+            self.velocity[k] += (self.accel[k] - drag * self.velocity[k] + extra) * STEP;
+            self.position[k] += self.velocity[k] * STEP;
+        }
+        if self.position[2] > 0.0 {
+            self.position[2] = 0.0;
+            self.velocity = if on_ground { [0.0; 3] } else { self.velocity };
+            self.velocity[2] = 0.0;
+        }
+    }
+
+    fn report(&mut self) {
+        if self.time >= self.next_beat {
+            self.next_beat = self.time + 1.0;
+            self.beat();
+        }
+        let Some(period) = self.stream_period else { return };
+        if self.time >= self.next_report {
+            self.next_report = self.time + period;
+            let [x, y, z] = self.position.map(|v| v as f32);
+            let [vx, vy, vz] = self.velocity.map(|v| v as f32);
+            let time_boot_ms = (self.time * 1e3) as u32;
+            let message = LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
+            self.encoder.push(&mut self.out, &message);
+        }
+    }
+
+    fn beat(&mut self) {
+        let px4 = self.stack == Stack::Px4;
+        let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
+        base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
+        let message = HEARTBEAT_DATA {
+            custom_mode: self.mode,
+            mavtype: MavType::MAV_TYPE_QUADROTOR,
+            autopilot: if px4 {
+                MavAutopilot::MAV_AUTOPILOT_PX4
+            } else {
+                MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA
+            },
+            base_mode,
+            system_status: if self.armed { MavState::MAV_STATE_ACTIVE } else { MavState::MAV_STATE_STANDBY },
+            mavlink_version: 3,
+        };
+        self.encoder.push(&mut self.out, &message);
+        if let Some(radio) = &mut self.radio {
+            let autopilot = MavAutopilot::MAV_AUTOPILOT_INVALID;
+            radio.push(&mut self.out, &HEARTBEAT_DATA { autopilot, ..Default::default() });
+        }
+    }
+
+    fn say(&mut self, severity: MavSeverity, text: &str) {
+        let message = STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+        self.encoder.push(&mut self.out, &message);
+    }
+
+    /// A datagram has come.
+    pub fn datagram(&mut self, bytes: &[u8]) {
+        for packet in self.decoder.datagram(bytes) {
+            if packet.is::<COMMAND_LONG_DATA>() {
+                self.command(&packet);
+            } else if packet.is::<SET_POSITION_TARGET_LOCAL_NED_DATA>() {
+                self.target(&packet);
+            }
+        }
+    }
+
+    fn command(&mut self, packet: &Packet) {
+        let fields = packet.fields();
+        let params: [f32; 7] = std::array::from_fn(|k| fields.f32(4 * k));
+        let (command, target) = (fields.u16(28), (fields.u8(30), fields.u8(31)));
+        let asker = (packet.system, packet.component);
+        if target.0 > 1 {
+            return;
+        }
+        if let Some(radio) = self.radio.as_mut().filter(|_| target.1 == 68) {
+            self.powers.push(params[0]);
+            return radio.push_ack(&mut self.out, command, MavResult::MAV_RESULT_ACCEPTED, asker);
+        }
+        let result = match command {
+            176 => self.mode_asked(params),
+            400 => self.arm(params[0] == 1.0),
+            22 => self.take_off(params[6]),
+            511 if params[0] == 32.0 && self.stack == Stack::Px4 => MavResult::MAV_RESULT_ACCEPTED,
+            511 if params[0] == 32.0 => {
+                self.stream_period = Some(f64::from(params[1]) / 1e6);
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            _ => MavResult::MAV_RESULT_UNSUPPORTED,
+        };
+        self.encoder.push_ack(&mut self.out, command, result, asker);
+    }
+
+    fn mode_asked(&mut self, params: [f32; 7]) -> MavResult {
+        let (main, sub) = (params[1] as u32, params[2] as u32);
+        if params[0] as u32 & 1 == 0 {
+            return MavResult::MAV_RESULT_DENIED;
+        }
+        match self.stack {
+            Stack::ArduPilot if self.time < CHECKS / 2.0 => MavResult::MAV_RESULT_FAILED,
+            Stack::ArduPilot => {
+                self.mode = main;
+                if self.armed && self.position[2] < -0.5 {
+                    self.wish = Wish::Stop;
+                }
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            Stack::Px4 if main == 6 => {
+                let streamed = self.setpoint.is_some_and(|(newest, first)| newest - first > 1.0);
+                if !streamed {
+                    let text = "Switching to Offboard is currently not available";
+                    self.say(MavSeverity::MAV_SEVERITY_WARNING, text);
+                    return MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
+                }
+                self.mode = OFFBOARD;
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            Stack::Px4 => {
+                self.set_mode(main << 16 | sub << 24);
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+        }
+    }
+
+    fn arm(&mut self, arm: bool) -> MavResult {
+        let flying = self.position[2] < -0.5;
+        if !arm && flying {
+            return MavResult::MAV_RESULT_FAILED;
+        }
+        if arm && self.stack == Stack::ArduPilot && self.time < CHECKS {
+            self.say(MavSeverity::MAV_SEVERITY_CRITICAL, "Arm: Accels calibrating");
+            return MavResult::MAV_RESULT_FAILED;
+        }
+        self.armed = arm;
+        MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    fn take_off(&mut self, height: f32) -> MavResult {
+        if self.stack == Stack::Px4 || !self.armed || !self.controlled() {
+            return MavResult::MAV_RESULT_FAILED;
+        }
+        self.wish = Wish::Position([self.position[0], self.position[1], -f64::from(height)]);
+        MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    fn target(&mut self, packet: &Packet) {
+        let fields = packet.fields();
+        let (mask, frame) = (fields.u16(48), fields.u8(52));
+        let vector = |at| -> [f64; 3] { std::array::from_fn(|k| f64::from(fields.f32(at + 4 * k))) };
+        let (position, accel) = (vector(4), vector(28));
+        if fields.u8(50) > 1 || frame != 1 {
+            return self.say(MavSeverity::MAV_SEVERITY_WARNING, "SET_POSITION_TARGET_LOCAL_NED invalid");
+        }
+        let (has_position, has_accel) = (mask & 0b111 == 0, mask & 0b1_1100_0000 == 0);
+        if self.stack == Stack::Px4 && !has_position && !has_accel {
+            return self.say(MavSeverity::MAV_SEVERITY_WARNING, "SET_POSITION_TARGET_LOCAL_NED invalid");
+        }
+        let first = self.setpoint.map_or(self.time, |(_, first)| first);
+        self.setpoint = Some((self.time, first));
+        if !self.controlled() || !self.armed {
+            return;
+        }
+        // ArduCopter takes setpoints in the air alone.
+        if self.stack == Stack::ArduPilot && self.position[2] > -0.5 {
+            return;
+        }
+        self.wish = if has_accel {
+            let finite = accel.iter().all(|a| a.is_finite());
+            self.poisoned |= !finite && self.stack == Stack::ArduPilot;
+            self.accelerations += 1;
+            if finite { Wish::Accel(accel) } else { Wish::Stop }
+        } else if has_position {
+            Wish::Position(position)
+        } else {
+            Wish::Stop
+        };
+    }
+}
+
+/// An autopilot on a socket of its own, in real time or faster; dropping it ends it.
+#[derive(Debug)]
+pub struct Served {
+    address: SocketAddr,
+    autopilot: Arc<Mutex<Autopilot>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Served {
+    /// ArduCopter waits for a station on TCP, as its simulator does; PX4 speaks on UDP.
+    pub fn start(autopilot: Autopilot, factor: f64) -> Result<Self> {
+        let stack = autopilot.stack;
+        let autopilot = Arc::new(Mutex::new(autopilot));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (shared, ended) = (Arc::clone(&autopilot), Arc::clone(&stop));
+        let (address, thread) = if stack == Stack::Px4 {
+            let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).context("binding the autopilot")?;
+            socket.set_nonblocking(true)?;
+            let address = socket.local_addr()?;
+            (address, std::thread::spawn(move || serve_udp(&socket, &shared, &ended, factor)))
+        } else {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).context("binding the autopilot")?;
+            let address = listener.local_addr()?;
+            (address, std::thread::spawn(move || serve_tcp(&listener, &shared, &ended, factor)))
+        };
+        Ok(Self { address, autopilot, stop, thread: Some(thread) })
+    }
+
+    /// The endpoint at which a station finds it.
+    #[must_use]
+    pub fn endpoint(&self, stack: Stack) -> String {
+        let scheme = if stack == Stack::Px4 { "udpout" } else { "tcpout" };
+        format!("{scheme}:{}", self.address)
+    }
+
+    /// Looks at the autopilot, or changes it.
+    pub fn with<T>(&self, look: impl FnOnce(&mut Autopilot) -> T) -> T {
+        look(&mut self.autopilot.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // A listener waits for a connection to look up.
+        let _ = std::net::TcpStream::connect(self.address);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+const PULSE: Duration = Duration::from_millis(2);
+
+fn serve_udp(socket: &UdpSocket, shared: &Mutex<Autopilot>, stop: &AtomicBool, factor: f64) {
+    let (start, mut buffer, mut peer) = (Instant::now(), vec![0; 65_536], None);
+    while !stop.load(Ordering::Relaxed) {
+        let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        while let Ok((length, from)) = socket.recv_from(&mut buffer) {
+            peer = Some(from);
+            autopilot.datagram(&buffer[..length]);
+        }
+        let out = autopilot.advance(start.elapsed().as_secs_f64() * factor, factor);
+        drop(autopilot);
+        for part in out.chunks(1400) {
+            // Frames may be cut between datagrams; stations join them.
+            let _ = peer.map(|peer| socket.send_to(part, peer));
+        }
+        std::thread::sleep(PULSE);
+    }
+}
+
+fn serve_tcp(listener: &TcpListener, shared: &Mutex<Autopilot>, stop: &AtomicBool, factor: f64) {
+    let Ok((mut stream, _)) = listener.accept() else { return };
+    let _ = stream.set_nodelay(true);
+    if stream.set_read_timeout(Some(PULSE)).is_err() {
+        return;
+    }
+    let (start, mut buffer) = (Instant::now(), vec![0; 65_536]);
+    while !stop.load(Ordering::Relaxed) {
+        let read = match stream.read(&mut buffer) {
+            Ok(0) => return,
+            Ok(length) => length,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
+            Err(_) => return,
+        };
+        let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        autopilot.datagram(&buffer[..read]);
+        let out = autopilot.advance(start.elapsed().as_secs_f64() * factor, factor);
+        drop(autopilot);
+        if stream.write_all(&out).is_err() {
+            return;
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! `gcs bridge` and `--out` of a flight as tools meet them: the real programs, over UDP and TCP.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::path::Path;
+
+use sitl::link::decoder::{Decoder, Packet};
+use sitl::link::dialect::{
+    COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, POSITION_TARGET_LOCAL_NED_DATA,
+    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+};
+use sitl::link::encoder::Encoder;
+use tests::program::{self, PATIENCE, Program};
+use tests::python;
+
+/// `gcs bridge` between `master` and one listening `out`; gives the port of that, and of the metrics.
+fn bridge(master: &str, out: &str, tlog: &Path) -> (Program, SocketAddr, SocketAddr) {
+    let args = ["bridge", "--master", master, "--out", out, "--metrics", "127.0.0.1:0", "--stats", "0"];
+    let log = ["--tlog", tlog.to_str().unwrap()];
+    let bridge = Program::start("gcs", &[&args[..], &log].concat(), None).unwrap();
+    let out = bridge.line("out: listening on ").unwrap();
+    let (_, address) = out.split_once(':').unwrap();
+    let metrics = bridge.line("metrics: http://").unwrap();
+    let metrics = metrics.strip_suffix("/metrics").unwrap().parse().unwrap();
+    (bridge, address.parse().unwrap(), metrics)
+}
+
+/// The value of a metric for the first link whose name begins with `link`.
+fn metric(address: SocketAddr, name: &str, link: &str) -> f64 {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: bridge\r\n\r\n").unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    let start = format!("mavlink_bridge_{name}{{link=\"{link}");
+    let line = text.lines().find(|line| line.starts_with(&start));
+    let line = line.unwrap_or_else(|| panic!("no {start} in\n{text}"));
+    line.rsplit(' ').next().unwrap().parse().unwrap()
+}
+
+fn flown(endpoint: &str, folder: &Path) -> String {
+    let args = ["fly", "--connect", endpoint, "--config", "configs/demo.toml", "--out"];
+    program::run("gcs", &[&args[..], &[folder.to_str().unwrap()]].concat()).unwrap().good().unwrap();
+    std::fs::read_to_string(folder.join("record.jsonl")).unwrap()
+}
+
+fn vehicle() -> (Program, SocketAddr) {
+    let args = ["--pace", "lockstep", "--config", "configs/demo.toml", "--seed", "5", "--ticks", "100"];
+    program::sitl(&args).unwrap()
+}
+
+/// A router in between changes no byte of a flight, loses nothing, and logs it for everybody's tools.
+#[test]
+fn a_flight_through_the_bridge_is_the_flight_without_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_direct, address) = vehicle();
+    let expected = flown(&format!("udpout:{address}"), &folder.path().join("direct"));
+    for scheme in ["udp", "tcp"] {
+        let (sitl, address) = vehicle();
+        let tlog = folder.path().join(format!("{scheme}.tlog"));
+        let master = format!("udpout:{address}");
+        let (bridge, out, metrics) = bridge(&master, &format!("{scheme}in:127.0.0.1:0"), &tlog);
+        let record = flown(&format!("{scheme}out:{out}"), &folder.path().join(scheme));
+        assert_eq!(record, expected, "over {scheme}");
+        sitl.wait().unwrap().good().unwrap();
+        // On a machine that is busy elsewhere a socket may overflow; then the ends ask again.
+        let received = metric(metrics, "received_frames_total", &master);
+        let lost = metric(metrics, "lost_frames_total", &master);
+        assert!(received > 1000.0 && lost <= 0.01 * received, "{lost} of {received} lost");
+        assert_eq!(metric(metrics, "duplicate_frames_total", &master), 0.0);
+        // Every command of the flight was answered through the bridge.
+        assert!(metric(metrics, "round_trip_seconds_count", &master) >= 100.0);
+        bridge.interrupt().unwrap();
+        let table = bridge.wait().unwrap().good().unwrap();
+        assert!(table.lines().any(|line| line.starts_with(&master) && line.contains("1/1 1/68")), "{table}");
+        let dump = python::mavlogdump(&tlog).unwrap();
+        for message in ["LOCAL_POSITION_NED", "SET_POSITION_TARGET_LOCAL_NED", "COMMAND_ACK"] {
+            assert!(dump.contains(&format!(" {message} ")), "no {message} in the tlog");
+        }
+    }
+}
+
+/// Somebody else at the vehicle, through a flight's `--out`.
+struct Operator {
+    socket: UdpSocket,
+    flight: Option<SocketAddr>,
+    decoder: Decoder,
+    encoder: Encoder,
+}
+
+impl Operator {
+    fn new() -> Self {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        Self { socket, flight: None, decoder: Decoder::default(), encoder: Encoder::new(254, 190) }
+    }
+
+    fn endpoint(&self) -> String {
+        format!("udpout:{}", self.socket.local_addr().unwrap())
+    }
+
+    /// The first packet for which `wanted` holds.
+    fn hear(&mut self, mut wanted: impl FnMut(&Packet) -> bool) -> Packet {
+        let mut buffer = vec![0; 65_536];
+        loop {
+            let (length, from) = self.socket.recv_from(&mut buffer).unwrap();
+            self.flight = Some(from);
+            if let Some(packet) = self.decoder.datagram(&buffer[..length]).into_iter().find(&mut wanted) {
+                return packet;
+            }
+        }
+    }
+
+    fn say(&mut self, fill: impl FnOnce(&mut Encoder, &mut Vec<u8>)) {
+        let mut datagram = Vec::new();
+        fill(&mut self.encoder, &mut datagram);
+        self.socket.send_to(&datagram, self.flight.unwrap()).unwrap();
+    }
+}
+
+/// The stated rule: setpoints of others are kept back; a mode change that the vehicle accepts ends
+/// CRPL's sending, and the operator's messages still pass.
+#[test]
+fn an_operator_watches_a_flight_and_takes_it_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--config", "configs/demo.toml"]).unwrap();
+    let mut operator = Operator::new();
+    let gcs = Program::start(
+        "gcs",
+        &[
+            "fly",
+            "--connect",
+            &format!("udpout:{address}"),
+            "--config",
+            "configs/demo.toml",
+            "--out",
+            &operator.endpoint(),
+            "--out",
+            folder.path().to_str().unwrap(),
+        ],
+        None,
+    )
+    .unwrap();
+    // Watches: the vehicle flies what CRPL sends, so the stamp of its echo moves on.
+    let stamp = |packet: &Packet| packet.fields().u32(0);
+    let first = stamp(&operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>));
+    operator.hear(|p| p.is::<POSITION_TARGET_LOCAL_NED_DATA>() && stamp(p) > first + 400);
+    operator.say(|encoder, out| {
+        encoder.push(out, &HEARTBEAT_DATA::default());
+        let away = SET_POSITION_TARGET_LOCAL_NED_DATA { afx: 5.0, target_system: 1, ..Default::default() };
+        encoder.push(out, &away);
+    });
+    let mode = COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        param1: 1.0,
+        param2: 4.0,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    };
+    operator.say(|encoder, out| encoder.push(out, &mode));
+    let ack = operator.hear(|p| p.is::<COMMAND_ACK_DATA>() && p.fields().u16(0) == 176);
+    assert_eq!(ack.fields().u8(2), 0, "accepted");
+    let said = operator.hear(|p| p.is::<STATUSTEXT_DATA>() && p.system == 255);
+    assert!(said.fields().text(1, 50).contains("Operator has control"), "{:?}", said.fields().text(1, 50));
+    // What was on its way arrives; then the vehicle flies the last command on, and hears no new one.
+    let held: Vec<_> =
+        (0..6).map(|_| stamp(&operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>))).collect();
+    assert!(held[2..].windows(2).all(|pair| pair[0] == pair[1]), "CRPL sends on: {held:?}");
+    // The operator's own setpoints now pass; the radio may lose one, so he repeats them.
+    let west = SET_POSITION_TARGET_LOCAL_NED_DATA {
+        afy: -1.25,
+        type_mask: PositionTargetTypemask::from_bits_retain(3135),
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    };
+    let flown = (0..50).any(|_| {
+        operator.say(|encoder, out| encoder.push(out, &west));
+        let echo = operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>);
+        echo.fields().f32(32) == -1.25
+    });
+    assert!(flown, "the operator is not heard");
+    gcs.interrupt().unwrap();
+    let printed = gcs.wait().unwrap().good().unwrap();
+    assert!(printed.contains("the operator took over after"), "{printed}");
+    assert!(printed.contains("1 setpoints of others kept"), "{printed}");
+    let run = std::fs::read_to_string(folder.path().join("run.json")).unwrap();
+    let run: serde_json::Value = serde_json::from_str(&run).unwrap();
+    assert_eq!(run["summary"]["taken_over"], true, "{run}");
+}
+
+#[test]
+fn what_cannot_be_opened_is_said_in_one_line() {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let taken = format!("udpin:{}", socket.local_addr().unwrap());
+    for (args, word) in [
+        (vec!["--master", "udpout:127.0.0.1:9", "--out", taken.as_str()], "in use"),
+        (vec!["--master", "serial:/dev/null:9", "--out", "udpin:127.0.0.1:0"], "only udpin"),
+        (vec!["--master", "udpout:127.0.0.1:9"], "--out"),
+        (
+            vec!["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0", "--tlog", "/no/where"],
+            "/no/where",
+        ),
+    ] {
+        let finished = program::run("gcs", &[&["bridge"][..], &args].concat()).unwrap();
+        let lines: Vec<_> = finished.stderr.lines().collect();
+        assert!(!finished.status.success() && lines.len() == 1 && lines[0].contains(word), "{lines:?}");
+    }
+}

@@ -1,0 +1,123 @@
+//! `gcs param`, `gcs mission` and `gcs replay` as people type them, against the real `sitl`.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
+
+use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
+
+use sitl::link::decoder::Decoder;
+use sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA};
+use tests::program::{self, Finished, PATIENCE, Program};
+
+fn gcs(address: SocketAddr, args: &[&str]) -> Finished {
+    let connect = format!("udpout:{address}");
+    let args = [&args[..1], &["--connect", &connect], &args[1..]].concat();
+    program::run("gcs", &args).unwrap()
+}
+
+fn good(address: SocketAddr, args: &[&str]) -> String {
+    gcs(address, args).good().unwrap()
+}
+
+/// One line that holds each of `words`, and a non-zero exit.
+fn refused(finished: &Finished, words: &[&str]) {
+    let errors: Vec<_> = finished.stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert!(!finished.status.success() && errors.len() == 1, "{finished:?}");
+    for word in words {
+        assert!(errors[0].contains(word), "no {word} in {errors:?}");
+    }
+}
+
+#[test]
+fn parameters_are_listed_read_set_saved_and_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let list = good(address, &["param", "list"]);
+    assert!(list.lines().any(|line| line == "SCALE_UNIT_M     500"), "{list}");
+    let set = good(address, &["param", "set", "RATE_ATTITUDE", "10"]);
+    assert!(set.starts_with("RATE_ATTITUDE    10 (was 4)"), "{set}");
+    assert_eq!(good(address, &["param", "get", "RATE_ATTITUDE"]).trim(), "RATE_ATTITUDE    10");
+    assert_eq!(
+        good(address, &["param", "--component", "68", "get", "RADIO_TXP"]).trim(),
+        "RADIO_TXP        1"
+    );
+
+    let file = folder.path().join("vehicle.param");
+    let file = file.to_str().unwrap();
+    good(address, &["param", "save", file]);
+    assert_eq!(std::fs::read_to_string(file).unwrap(), good(address, &["param", "list"]));
+    std::fs::write(file, "RATE_ATTITUDE 5\nSCALE_UNIT_M 500\n").unwrap();
+    let loaded = good(address, &["param", "load", file]);
+    assert!(loaded.contains("1 set, 1 as they were, 0 refused"), "{loaded}");
+    std::fs::write(file, "NO_SUCH 5\n").unwrap();
+    refused(&gcs(address, &["param", "load", file]), &["1 of 1 parameters were not set"]);
+    refused(&gcs(address, &["param", "set", "SCALE_UNIT_M", "1"]), &["SCALE_UNIT_M", "500"]);
+    refused(
+        &gcs(address, &["param", "set", "RATE_ATTITUDE", "nan"]),
+        &["RATE_ATTITUDE", "`nan` is no number"],
+    );
+    refused(&gcs(address, &["param", "--sysid", "9", "list"]), &["no vehicle 9; heard: 1"]);
+}
+
+/// A WPL mission up and down again, as a plan too, and away.
+#[test]
+fn missions_go_up_and_come_down() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    // Home, and two places north of it at the height of its flights.
+    let text = "QGC WPL 110\n\
+        0\t1\t0\t16\t0\t0\t0\t0\t47.39774200\t8.54559400\t488\t1\n\
+        1\t0\t3\t16\t0\t0\t0\t0\t47.39864000\t8.54559400\t100\t1\n\
+        2\t0\t3\t16\t0\t0\t0\t0\t47.39999000\t8.54700000\t100\t1\n";
+    std::fs::write(path("up.waypoints"), text).unwrap();
+    let said = good(address, &["mission", "upload", &path("up.waypoints")]);
+    assert!(said.contains("3 items uploaded to vehicle 1"), "{said}");
+    good(address, &["mission", "download", &path("down.plan")]);
+    let plan: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path("down.plan")).unwrap()).unwrap();
+    assert_eq!(plan["fileType"], "Plan");
+    good(address, &["mission", "upload", &path("down.plan")]);
+    good(address, &["mission", "download", &path("down.waypoints")]);
+    let places = |text: &str| -> Vec<(String, String)> {
+        // Without the head and home, which the vehicle knows better.
+        let rows = text.lines().skip(2).map(|line| line.split('\t').collect::<Vec<_>>());
+        rows.map(|row| (row[8].to_owned(), row[9].to_owned())).collect()
+    };
+    assert_eq!(places(&std::fs::read_to_string(path("down.waypoints")).unwrap()), places(text));
+    good(address, &["mission", "clear"]);
+    good(address, &["mission", "download", &path("none.waypoints")]);
+    assert_eq!(places(&std::fs::read_to_string(path("none.waypoints")).unwrap()), []);
+    std::fs::write(path("bad.waypoints"), "QGC WPL 110\n0 1 0\n").unwrap();
+    refused(&gcs(address, &["mission", "upload", &path("bad.waypoints")]), &["bad.waypoints", "line 2"]);
+}
+
+/// What a watcher hears of a replay: how many positions, local and on the map.
+fn watched(file: &Path) -> (usize, usize) {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    let out = format!("udpout:{}", socket.local_addr().unwrap());
+    let args = ["replay", file.to_str().unwrap(), "--out", &out, "--speed", "100"];
+    let replay = Program::start("gcs", &args, None).unwrap();
+    let (mut decoder, mut buffer, mut heard) = (Decoder::default(), vec![0; 65_536], (0, 0));
+    while heard.0 < 100 {
+        let length = socket.recv(&mut buffer).unwrap();
+        for packet in decoder.datagram(&buffer[..length]) {
+            heard.0 += usize::from(packet.is::<LOCAL_POSITION_NED_DATA>());
+            heard.1 += usize::from(packet.is::<GLOBAL_POSITION_INT_DATA>());
+            assert_ne!(packet.system, 255, "a station's own messages stay out");
+        }
+    }
+    replay.wait().unwrap().good().unwrap();
+    heard
+}
+
+#[test]
+fn a_flight_is_replayed_from_its_log_and_from_its_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["demo", "--controller", "rcc", "--out", folder.path().to_str().unwrap()];
+    program::run("gcs", &args).unwrap().good().unwrap();
+    let run = folder.path().join("rcc");
+    assert!(watched(&run.join("flight.tlog")).0 >= 100);
+    assert_eq!(watched(&run.join("record.jsonl")), (100, 100));
+}
