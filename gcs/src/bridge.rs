@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | [`router`] | which frame goes where; copies, losses, round trips | sockets, clocks |
 //! | [`hub`] | UDP and TCP sockets around it, in bursts | messages |
+//! | [`seal`] | message signing | sockets |
 //! | [`tcp`] | one task a connection | frames |
 //! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
 //! | [`metrics`] | `GET /metrics` | what it serves |
@@ -12,6 +13,7 @@ pub mod counters;
 pub mod hub;
 pub mod metrics;
 pub mod router;
+pub mod seal;
 pub mod tcp;
 
 use std::io::Write;

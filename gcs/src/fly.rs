@@ -38,6 +38,8 @@ pub struct Options {
     pub ticks: Option<u64>,
     /// Where to write the tlog.
     pub tlog: Option<PathBuf>,
+    /// File with the key of message signing.
+    pub signing_key: Option<PathBuf>,
     /// Who else talks to the vehicle through this program.
     pub outs: Vec<Endpoint>,
     /// How long to wait for the first percept, and for any next one.
@@ -51,6 +53,7 @@ impl Default for Options {
         Self {
             ticks: None,
             tlog: None,
+            signing_key: None,
             outs: Vec::new(),
             patience: Duration::from_secs(30),
             silence: Duration::from_secs(5),
@@ -174,6 +177,9 @@ impl<'a> Shell<'a> {
         }
         if let Some(path) = &options.tlog {
             hub.log_to(path)?;
+        }
+        if let Some(path) = &options.signing_key {
+            hub.sign_with(path)?;
         }
         Ok(Self {
             connect,

@@ -65,6 +65,9 @@ pub async fn fly(
     if let Some(path) = &options.tlog {
         hub.log_to(path)?;
     }
+    if let Some(path) = &options.signing_key {
+        hub.sign_with(path)?;
+    }
     let ticks = options.ticks.unwrap_or(scenario.horizon);
     let mut guide = Guide::new(scenario.clone(), foreign, ticks);
     let start = Instant::now();

@@ -131,6 +131,9 @@ struct Fly {
     /// How many times faster than real time a foreign vehicle's simulator runs.
     #[arg(long, value_name = "X", default_value = "1", value_parser = sitl::cli::parse_speedup)]
     speedup: f64,
+    /// File with the key of message signing: TOML with `key` (64 hexadecimal digits) or `passphrase`.
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
     /// Who flies.
     #[arg(long, value_enum, default_value = "crpl")]
     controller: Controller,
@@ -204,6 +207,7 @@ async fn fly(args: Fly) -> Result<()> {
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
         tlog: Some(out.join("flight.tlog")),
+        signing_key: args.signing_key,
         outs,
         ..Options::default()
     };

@@ -2,6 +2,7 @@
 //!
 //! Beats once a second, finds the vehicle, repeats commands, and runs an [`Exchange`] to its end.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -33,6 +34,9 @@ pub struct Link {
     /// Component of the vehicle [default: 1, its autopilot]
     #[arg(long, value_name = "N", default_value_t = AUTOPILOT)]
     pub component: u8,
+    /// File with the key of message signing: TOML with `key` or `passphrase`
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
     /// How long to wait for the vehicle's first heartbeat
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     pub patience: u64,
@@ -73,6 +77,9 @@ impl Session {
         hub.local();
         let shown = hub.open(&link.connect).await?;
         tracing::debug!("{shown}");
+        if let Some(path) = &link.signing_key {
+            hub.sign_with(path)?;
+        }
         let mut session = Self {
             hub,
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),

@@ -22,6 +22,7 @@ use tokio::time::Instant;
 
 use super::counters::{Histogram, Row};
 use super::router::{LinkId, Notice, Router};
+use super::seal::Seal;
 use super::tcp::{Streams, TcpEvent};
 
 /// Datagrams that are read from one socket before the others have their turn.
@@ -64,6 +65,7 @@ pub struct Hub {
     local: Option<LinkId>,
     heard: VecDeque<Vec<u8>>,
     tlog: Option<Tlog<BufWriter<File>>>,
+    seal: Option<Seal>,
     forward: Histogram,
     start: Instant,
     /// When the last burst was there to be read.
@@ -81,6 +83,7 @@ impl Default for Hub {
             local: None,
             heard: VecDeque::new(),
             tlog: None,
+            seal: None,
             forward: Histogram::default(),
             start: Instant::now(),
             arrived: Instant::now(),
@@ -129,9 +132,16 @@ impl Hub {
         Ok(())
     }
 
-    /// Hands the tlog to the file.
+    /// Signs what this program says, and hears only what is signed, by the key in a file.
+    pub fn sign_with(&mut self, path: &Path) -> Result<()> {
+        self.seal = Some(Seal::open(path)?);
+        Ok(())
+    }
+
+    /// Hands the tlog, and the timestamps of signatures, to their files.
     pub fn flush_log(&mut self) -> Result<()> {
-        self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")
+        self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")?;
+        self.seal.as_ref().map_or(Ok(()), Seal::close)
     }
 
     /// What to keep from whom: see [`Router::hold`]. Only for a program with a link of its own.
@@ -186,13 +196,27 @@ impl Hub {
 
     /// Bytes for this program, one datagram, if any are there.
     pub fn take(&mut self) -> Option<Vec<u8>> {
-        self.heard.pop_front()
+        loop {
+            let datagram = self.heard.pop_front()?;
+            let Some(seal) = &mut self.seal else { return Some(datagram) };
+            let good = seal.check(&datagram);
+            if !good.is_empty() {
+                return Some(good);
+            }
+        }
     }
 
     /// Sends what this program says.
     pub async fn send(&mut self, datagram: &[u8]) -> Result<()> {
         let local = self.local();
-        self.receive(local, datagram)?;
+        match self.seal.as_mut().map(|seal| seal.sign(datagram)) {
+            None => self.receive(local, datagram)?,
+            Some(signed) => {
+                for part in signed {
+                    self.receive(local, &part)?;
+                }
+            }
+        }
         self.flush().await;
         Ok(())
     }

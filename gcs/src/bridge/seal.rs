@@ -1,0 +1,97 @@
+//! Message signing of what this program says and hears: `--signing-key FILE`.
+//!
+//! With a key every frame of ours is signed, and only frames with a right signature are heard (and the
+//! radio's, which the standard excepts). What passes between others passes as it is.
+
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::{Result, ensure};
+use sitl::link::decoder::Decoder;
+use sitl::link::signing::{Policy, Signing, Store, timestamp};
+
+/// The link id in our signatures.
+const LINK: u8 = 0;
+
+/// Key and timestamps, and the file in which they are kept.
+#[derive(Debug)]
+pub struct Seal {
+    signing: Signing,
+    store: Store,
+    decoder: Decoder,
+}
+
+impl Seal {
+    /// The key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
+    pub fn open(path: &Path) -> Result<Self> {
+        let store = Store::new(path);
+        let signing = store.load(Policy::Required)?;
+        ensure!(signing.is_on(), "--signing-key: there is no key in {}", path.display());
+        // Until the end is written, a restart counts on timestamps that were not.
+        store.save(&signing, false)?;
+        Ok(Self { signing, store, decoder: Decoder::default() })
+    }
+
+    /// A datagram of ours, signed, in as many as it then needs.
+    pub fn sign(&mut self, datagram: &[u8]) -> Vec<Vec<u8>> {
+        self.signing.sign(datagram.to_vec(), LINK, now())
+    }
+
+    /// The frames of a datagram that are signed as they must be.
+    pub fn check(&mut self, datagram: &[u8]) -> Vec<u8> {
+        let mut good = Vec::new();
+        for packet in self.decoder.datagram(datagram) {
+            match self.signing.check(&packet, now()) {
+                Ok(_) => good.extend_from_slice(&packet.raw),
+                Err(why) => {
+                    tracing::debug!(system = packet.system, component = packet.component, "refused: {why}");
+                }
+            }
+        }
+        good
+    }
+
+    /// Writes the timestamps.
+    pub fn close(&self) -> Result<()> {
+        Ok(self.store.save(&self.signing, true)?)
+    }
+}
+
+/// A clock before 1970 is no clock; the newest timestamp then counts on.
+fn now() -> u64 {
+    timestamp(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use sitl::link::dialect::HEARTBEAT_DATA;
+    use sitl::link::encoder::Encoder;
+
+    use super::*;
+
+    fn seal(folder: &Path, name: &str, passphrase: &str) -> Seal {
+        let path = folder.join(name);
+        std::fs::write(&path, format!("passphrase = \"{passphrase}\"\n")).unwrap();
+        Seal::open(&path).unwrap()
+    }
+
+    #[test]
+    fn what_one_key_signs_another_refuses_and_nothing_passes_twice() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut ours = seal(folder.path(), "ours", "secret");
+        let mut theirs = seal(folder.path(), "theirs", "secret");
+        let mut stranger = seal(folder.path(), "stranger", "another");
+        let mut datagram = Vec::new();
+        Encoder::new(255, 190).push(&mut datagram, &HEARTBEAT_DATA::default());
+        let signed = ours.sign(&datagram).concat();
+        assert_eq!(theirs.check(&signed), signed);
+        assert!(theirs.check(&signed).is_empty(), "a replay");
+        assert!(stranger.check(&signed).is_empty(), "another key");
+        assert!(theirs.check(&datagram).is_empty(), "unsigned");
+        ours.close().unwrap();
+        let text = std::fs::read_to_string(folder.path().join("ours")).unwrap();
+        assert!(text.contains("clean = true"), "{text}");
+        let error = Seal::open(&folder.path().join("nowhere")).unwrap_err().to_string();
+        assert!(error.contains("there is no key"), "{error}");
+    }
+}
