@@ -469,7 +469,7 @@ fn timesync_is_answered_in_the_vehicles_time() {
 #[test]
 fn a_plan_is_flown_in_an_outage_and_never_taken_for_a_command() {
     let mut scenario = Scenario::default();
-    scenario.radio.b_dt = 4.0;
+    scenario.radio.b_dt = 20.0;
     let mut bench = Bench::with(scenario, Some(4));
     let first = bench.planned(0, 1.0, &[2.0, 3.0]);
     bench.datagram(&first);
