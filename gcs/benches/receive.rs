@@ -32,7 +32,7 @@ fn flight() -> (Vec<Vec<u8>>, u64) {
     for k in 0..200 {
         sent.extend(std::iter::from_fn(|| vehicle.poll()).map(|(_, bytes)| bytes));
         let accel = [(k as f32).sin(), (k as f32).cos()];
-        let command = remote.command(&Command { tick: Tick(k), accel, power: TxPower::High });
+        let command = remote.command(&Command::new(Tick(k), accel, TxPower::High));
         vehicle.datagram(&command, station, Duration::ZERO);
         vehicle.advance(Duration::ZERO);
     }

@@ -323,7 +323,7 @@ mod tests {
     fn station(percept: &Percept) -> Command {
         let [north, east] = percept.telemetry.position;
         let power = if percept.telemetry.tick.0.is_multiple_of(3) { TxPower::High } else { TxPower::Low };
-        Command { tick: percept.telemetry.tick, accel: [(north * 7.0).sin(), (east * 7.0).cos()], power }
+        Command::new(percept.telemetry.tick, [(north * 7.0).sin(), (east * 7.0).cos()], power)
     }
 
     fn direct() -> Vec<Percept> {

@@ -7,8 +7,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use model::checkpoint;
+use model::optimise::{OptimiseConfig, Receding, RecedingConfig, Stage};
 use model::policy::Policies;
-use model::world_model::WorldModel;
+use model::world_model::{HeadsAt, WorldModel};
 use serde::Serialize;
 use sitl::Scenario;
 use sitl::radio::Fates;
@@ -17,6 +18,7 @@ use sitl::record::{Metrics, Record};
 use crate::fly::{Ended, Flight};
 use crate::lab::figures;
 use crate::pilot::crpl_exact_latents::Memory;
+use crate::pilot::crpl_rh::CrplRh;
 use crate::pilot::{Controller, Pilot, rcc, ucc};
 use crate::station::Station;
 
@@ -44,8 +46,13 @@ impl Brain {
         Ok(match controller {
             Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
             Controller::CrplBw => {
-                let heads = self.world.heads_at(scenario.channel.base_station);
-                Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(heads))
+                Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(self.heads(scenario)))
+            }
+            Controller::CrplPpc => {
+                Pilot::CrplPpc(Arc::new(self.policies(scenario)?), Arc::new(self.heads(scenario)))
+            }
+            Controller::CrplRh => {
+                Pilot::CrplRh(Box::new(self.receding(scenario)?), Arc::new(self.heads(scenario)))
             }
             Controller::CrplExactLatents => {
                 Pilot::CrplExactLatents(Arc::new(self.policies(scenario)?), Memory::default())
@@ -54,6 +61,21 @@ impl Brain {
             Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
             Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),
         })
+    }
+
+    /// The policies with what re-optimises them.
+    fn receding(&self, scenario: &Scenario) -> Result<CrplRh> {
+        let policies = self.policies(scenario)?;
+        let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
+        let stage = Stage::of(&self.world, scenario, &config, 0)?;
+        let budget = RecedingConfig::default();
+        let receding = Receding::new(stage, config.objective, budget, policies.motion.clone());
+        Ok(CrplRh::new(receding, policies))
+    }
+
+    /// The heads, told where this scenario's base station stands.
+    fn heads(&self, scenario: &Scenario) -> HeadsAt {
+        self.world.heads_at(scenario.channel.base_station)
     }
 
     /// The policies, which must have been optimised in this world model's latents.

@@ -7,12 +7,13 @@ use std::sync::Arc;
 
 use model::world_model::WorldModel;
 use sitl::Scenario;
-use sitl::msg::{Command, Percept, Telemetry};
+use sitl::msg::{Command, Motion, Percept, Telemetry};
 use sitl::radio::Fates;
 use sitl::record::{Metrics, Record};
+use sitl::units::Tick;
 
 use crate::belief::Belief;
-use crate::pilot::Pilot;
+use crate::pilot::{Decision, Pilot};
 
 /// A flight in progress, seen from the ground.
 #[derive(Debug, Clone)]
@@ -50,16 +51,20 @@ impl Station {
         }
         self.close(&percept.telemetry);
         self.belief.observe(&self.world, &percept.telemetry, &percept.frame);
-        let (motion, power) =
-            self.pilot.decide(&self.world, &self.belief, &percept.telemetry, &self.scenario);
-        let physical = self.scenario.dynamics.a_max * motion.vector();
-        let command = Command {
-            tick: percept.telemetry.tick,
-            accel: self.scenario.scale.ned_from_paper_acceleration(physical),
-            power,
-        };
+        let decision = self.pilot.decide(&self.world, &self.belief, &percept.telemetry, &self.scenario);
+        let command = self.command(percept.telemetry.tick, &decision);
         self.belief.ledger_mut().send(command.tick);
         self.last = Some((percept.telemetry, command));
+        command
+    }
+
+    fn command(&self, tick: Tick, decision: &Decision) -> Command {
+        let accel = |motion: Motion| {
+            let physical = self.scenario.dynamics.a_max * motion.vector();
+            self.scenario.scale.ned_from_paper_acceleration(physical)
+        };
+        let mut command = Command::new(tick, accel(decision.motion), decision.power);
+        decision.next.iter().for_each(|motion| command.plan.push(accel(*motion)));
         command
     }
 

@@ -7,6 +7,7 @@
 
 pub(crate) mod lanes;
 
+mod area;
 mod exact;
 mod head;
 mod rollout;
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::kernel::Lane;
 use crate::mlp::Mlp;
+pub use area::Area;
 pub use exact::{Exact, Quantity};
 pub use head::Head;
 pub(crate) use rollout::samples;
@@ -124,6 +126,8 @@ pub struct Plant {
     pub v_max: f32,
     /// Images of the frame's corners (0,0) and (1,1) in y_c.
     pub corners: [[f32; 2]; 2],
+    /// Where the obstacle can be, in y_u; `None` predicts it straight on for ever.
+    pub area: Option<Area>,
     /// What the rollout knows of limits.
     pub limits: Limits,
     /// y_g
@@ -141,6 +145,9 @@ pub struct Draws {
     pub start: [[Lane; 2]; 2],
     /// y_u at k = 0 and k = -1.
     pub obstacle: [[Lane; 2]; 2],
+    /// The y_u that the policy is told, if it is not the obstacle's own: one that was trained beside a
+    /// standing obstacle has learned nothing of others.
+    pub told: Option<[f32; 2]>,
     /// (kick/a_max) w_k, one [Lane; 2] an interval; its length is the horizon H.
     pub wind: Vec<[Lane; 2]>,
 }

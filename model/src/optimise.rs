@@ -6,6 +6,7 @@
 
 mod adam;
 mod power;
+mod receding;
 mod stage;
 
 use rand::RngExt;
@@ -20,7 +21,8 @@ use crate::mlp::Mlp;
 use crate::policy::Policies;
 use adam::{Adam, Mean};
 use power::{Sample, executed_power, power_gradient};
-pub use stage::{Encode, Stage};
+pub use receding::{Receding, RecedingConfig};
+pub use stage::{Encode, Here, Stage};
 
 /// Every number of Algorithm 1. `Default` as argued in docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -195,7 +195,7 @@ fn lockstep(pictures: bool) {
             }
         }
         if reported == Some(next) && (!pictures || seen == Some(next)) {
-            let command = Command { tick: sitl::units::Tick(next), accel: [1.0, 0.0], power: TxPower::High };
+            let command = Command::new(sitl::units::Tick(next), [1.0, 0.0], TxPower::High);
             datagram.clear();
             wire::push_command(&command, &clock, 1, &mut station, &mut datagram);
             socket.send(&datagram).expect("loopback takes a datagram");

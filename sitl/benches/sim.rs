@@ -22,7 +22,7 @@ fn main() {
             let mut sim = Sim::new(scenario.clone(), 1);
             for k in 0..TICKS {
                 let accel = accels[(k / 7 % 5) as usize];
-                sim.handle(Command { tick: sim.tick(), accel, power: TxPower::Low });
+                sim.handle(Command::new(sim.tick(), accel, TxPower::Low));
                 sim.advance();
                 if telemetry {
                     black_box(sim.telemetry());

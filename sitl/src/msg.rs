@@ -113,6 +113,64 @@ pub struct Command {
     pub accel: [f32; 2],
     /// Transmit power of the base station.
     pub power: TxPower,
+    /// What to fly in the intervals after it if no newer packet gets through.
+    pub plan: Plan,
+}
+
+impl Command {
+    /// A command without a plan: in an outage the vehicle holds it.
+    #[must_use]
+    pub fn new(tick: Tick, accel: [f32; 2], power: TxPower) -> Self {
+        Self { tick, accel, power, plan: Plan::default() }
+    }
+
+    /// The acceleration for interval `now`: the command's own, then its plan's, whose last one holds.
+    #[must_use]
+    pub fn accel_at(&self, now: Tick) -> [f32; 2] {
+        let later = usize::try_from(now.0.saturating_sub(self.tick.0)).unwrap_or(usize::MAX);
+        let planned = self.plan.accelerations();
+        match later.min(planned.len()) {
+            0 => self.accel,
+            n => planned[n - 1],
+        }
+    }
+
+    /// This command, and after its own plan what an `older` one had planned for later intervals.
+    #[must_use]
+    pub fn over(mut self, older: &Self) -> Self {
+        let known = (self.tick.0 - older.tick.0.min(self.tick.0)) as usize + self.plan.length;
+        for accel in older.plan.accelerations().iter().skip(known) {
+            self.plan.push(*accel);
+        }
+        self
+    }
+}
+
+/// Accelerations north, east, m/s², for the intervals after a command's own, at most
+/// [`Plan::MOST`] (packetised predictive control).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Plan {
+    accel: [[f32; 2]; Self::MOST],
+    length: usize,
+}
+
+impl Plan {
+    /// Actions that a plan holds at most: with the command's own ten, 4 s of flight.
+    pub const MOST: usize = 9;
+
+    /// Appends the acceleration of the next interval; a full plan stays as it is.
+    pub fn push(&mut self, accel: [f32; 2]) {
+        if let Some(slot) = self.accel.get_mut(self.length) {
+            *slot = accel;
+            self.length += 1;
+        }
+    }
+
+    /// One a later interval.
+    #[must_use]
+    pub fn accelerations(&self) -> &[[f32; 2]] {
+        &self.accel[..self.length]
+    }
 }
 
 /// The command that the vehicle is flying.
@@ -120,7 +178,7 @@ pub struct Command {
 pub struct Held {
     /// Tick of that command.
     pub tick: Tick,
-    /// Acceleration north, east, m/s², as it was sent.
+    /// Acceleration north, east, m/s², that it had for the interval, as it was sent.
     pub accel: [f32; 2],
 }
 

@@ -11,7 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::msg::{Command, Held, TxPower};
+use crate::msg::{Command, Held, Plan, TxPower};
 use crate::scenario::Rule;
 use crate::units::Tick;
 
@@ -36,7 +36,8 @@ pub struct Gate {
     rule: Rule,
     power: TxPower,
     newest: Option<Tick>,
-    pending: Option<Held>,
+    pending: Option<Command>,
+    received: Option<Command>,
     held: Option<Held>,
     fates: Fates,
 }
@@ -45,7 +46,15 @@ impl Gate {
     /// A gate with low power and nothing heard yet.
     #[must_use]
     pub fn new(rule: Rule) -> Self {
-        Self { rule, power: TxPower::Low, newest: None, pending: None, held: None, fates: Fates::default() }
+        Self {
+            rule,
+            power: TxPower::Low,
+            newest: None,
+            pending: None,
+            received: None,
+            held: None,
+            fates: Fates::default(),
+        }
     }
 
     /// Sets the transmitter's power. It is the station's own, so no packet is needed.
@@ -62,12 +71,11 @@ impl Gate {
     /// Hands a command to the transmitter. A repeat of one that is waiting replaces it; one that is
     /// older than the newest, or whose fate is settled, is ignored.
     pub fn submit(&mut self, command: Command) {
-        let packet = Held { tick: command.tick, accel: command.accel };
         match self.newest {
             Some(newest) if command.tick < newest => return,
             Some(newest) if command.tick == newest => {
                 if let Some(waiting) = self.pending.as_mut() {
-                    *waiting = packet;
+                    *waiting = command;
                     self.power = command.power;
                 }
                 return;
@@ -77,18 +85,25 @@ impl Gate {
         self.newest = Some(command.tick);
         self.power = command.power;
         self.fates.sent += 1;
-        if self.pending.replace(packet).is_some() {
+        if self.pending.replace(command).is_some() {
             self.fates.superseded += 1;
         }
     }
 
-    /// One control interval: the waiting packet gets through unless there is an outage.
+    /// The plan of the packet that waits; an empty one if none does.
+    #[must_use]
+    pub fn waiting_plan(&self) -> Plan {
+        self.pending.map(|packet| packet.plan).unwrap_or_default()
+    }
+
+    /// One control interval: the waiting packet gets through unless there is an outage, and the
+    /// vehicle flies what it knows of this interval from the newest packet that tells of it.
     pub fn transmit(&mut self, now: Tick, outage: bool) {
         let blocked = outage && self.rule != Rule::Ideal;
         match (self.pending.take(), blocked) {
             (None, _) => {}
             (Some(packet), false) => {
-                self.held = Some(packet);
+                self.received = Some(self.received.map_or(packet, |older| packet.over(&older)));
                 if packet.tick == now {
                     self.fates.delivered += 1;
                 } else {
@@ -98,16 +113,17 @@ impl Gate {
             (Some(packet), true) if self.rule == Rule::Queue => self.pending = Some(packet),
             (Some(_), true) => self.fates.lost += 1,
         }
+        self.held = self.received.map(|packet| Held { tick: packet.tick, accel: packet.accel_at(now) });
     }
 
     /// Forgets the held command and the one that waits, whose fate is then lost: the vehicle no longer
     /// takes commands of the station.
     pub fn release(&mut self) {
         self.fates.lost += u64::from(self.pending.take().is_some());
-        self.held = None;
+        (self.received, self.held) = (None, None);
     }
 
-    /// The command that the vehicle flies.
+    /// What the vehicle flew in the interval that just ended.
     #[must_use]
     pub fn held(&self) -> Option<Held> {
         self.held
@@ -125,7 +141,7 @@ mod tests {
     use super::*;
 
     fn command(tick: u64) -> Command {
-        Command { tick: Tick(tick), accel: [tick as f32, 0.0], power: TxPower::Low }
+        Command::new(Tick(tick), [tick as f32, 0.0], TxPower::Low)
     }
 
     fn held_tick(gate: &Gate) -> Option<u64> {
@@ -141,6 +157,40 @@ mod tests {
             assert_eq!(held_tick(&gate), Some(flown), "tick {tick}");
         }
         assert_eq!(gate.fates(), Fates { sent: 4, delivered: 2, lost: 2, ..Fates::default() });
+    }
+
+    #[test]
+    fn an_outage_flies_the_plan_and_then_holds_its_last_action() {
+        let mut gate = Gate::new(Rule::Drop);
+        let mut planned = command(0);
+        planned.plan.push([0.25, 0.0]);
+        planned.plan.push([0.5, 0.0]);
+        gate.submit(planned);
+        assert_eq!(gate.waiting_plan(), planned.plan);
+        for (tick, accel) in [(0, 0.0), (1, 0.25), (2, 0.5), (3, 0.5)] {
+            gate.transmit(Tick(tick), tick > 0);
+            assert_eq!(gate.held(), Some(Held { tick: Tick(0), accel: [accel, 0.0] }), "tick {tick}");
+            gate.submit(command(tick + 1));
+        }
+        gate.transmit(Tick(4), false);
+        assert_eq!(gate.held(), Some(Held { tick: Tick(4), accel: [4.0, 0.0] }));
+    }
+
+    #[test]
+    fn a_short_plan_leaves_the_rest_of_a_longer_one() {
+        let (mut long, mut short) = (command(0), command(1));
+        for x in [10.0, 20.0, 30.0, 40.0] {
+            long.plan.push([x, 0.0]);
+        }
+        short.plan.push([2.5, 0.0]);
+        let mut gate = Gate::new(Rule::Drop);
+        gate.submit(long);
+        gate.transmit(Tick(0), false);
+        gate.submit(short);
+        for (tick, x) in [(1, 1.0), (2, 2.5), (3, 30.0), (4, 40.0), (5, 40.0)] {
+            gate.transmit(Tick(tick), false);
+            assert_eq!(gate.held(), Some(Held { tick: Tick(1), accel: [x, 0.0] }), "tick {tick}");
+        }
     }
 
     #[test]

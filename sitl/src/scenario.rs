@@ -197,11 +197,22 @@ pub struct Radio {
     pub b_dt: f64,
     /// L_pkt
     pub packet_bits: f64,
+    /// Bits of each further action in a packet that carries a plan (our choice: 3, a code word for
+    /// the five motions).
+    pub action_bits: f64,
+}
+
+impl Radio {
+    /// Bits of a packet with this many actions beyond its first.
+    #[must_use]
+    pub fn bits(&self, further: usize) -> f64 {
+        self.packet_bits + self.action_bits * further as f64
+    }
 }
 
 impl Default for Radio {
     fn default() -> Self {
-        Self { rule: Rule::Drop, b_dt: 4.0, packet_bits: 4.0 }
+        Self { rule: Rule::Drop, b_dt: 4.0, packet_bits: 4.0, action_bits: 3.0 }
     }
 }
 
@@ -410,6 +421,7 @@ impl Scenario {
             ("channel.snr_min", self.channel.snr_min),
             ("radio.b_dt", self.radio.b_dt),
             ("radio.packet_bits", self.radio.packet_bits),
+            ("radio.action_bits", self.radio.action_bits),
             ("safety.softness", self.safety.softness),
             ("propulsion.blade_profile_power", self.propulsion.blade_profile_power),
             ("propulsion.induced_power", self.propulsion.induced_power),

@@ -115,7 +115,8 @@ impl Sim {
     pub fn transmit(&mut self) {
         let (radio, power) = (&self.scenario.radio, self.gate.power());
         let snr = self.world.snr(power, &self.scenario);
-        let outage = radio.rule != Rule::Ideal && channel::outage(radio.b_dt, snr, radio.packet_bits);
+        let bits = radio.bits(self.gate.waiting_plan().accelerations().len());
+        let outage = radio.rule != Rule::Ideal && channel::outage(radio.b_dt, snr, bits);
         self.gate.transmit(self.tick, outage);
         self.link = Some(LinkReport { snr_db: snr.to_db() as f32, power, outage });
     }
@@ -189,7 +190,7 @@ mod tests {
                 .scenario()
                 .scale
                 .ned_from_paper_acceleration(motion.vector() * sim.scenario().dynamics.a_max);
-            sim.handle(Command { tick: Tick(k), accel, power: TxPower::Low });
+            sim.handle(Command::new(Tick(k), accel, TxPower::Low));
             sim.advance();
         }
         sim
@@ -210,7 +211,7 @@ mod tests {
     #[test]
     fn a_wish_beyond_the_limit_is_flown_at_the_limit() {
         let mut sim = Sim::new(Scenario::default(), 0);
-        sim.handle(Command { tick: Tick(0), accel: [1000.0, -1000.0], power: TxPower::Low });
+        sim.handle(Command::new(Tick(0), [1000.0, -1000.0], TxPower::Low));
         sim.advance();
         assert_eq!(sim.flown(), Vector2::new(-1.0, 1.0));
     }

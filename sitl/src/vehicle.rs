@@ -53,6 +53,7 @@ use crate::link::encoder::Encoder;
 use crate::link::signing::{self, Origin, Rejection, Signing};
 use crate::link::wire::{Clock, Refusal, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
+use crate::msg::Command;
 use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
@@ -106,6 +107,8 @@ pub struct Vehicle {
     begun: bool,
     ready: bool,
     acknowledged: bool,
+    /// The first stamped setpoint of the datagram in hand, and the tick that its plan goes on with.
+    lead: Option<(Command, Tick)>,
     /// Newest time stamp of a power command, boot ms.
     newest_power: Option<f32>,
     said: BTreeMap<&'static str, Duration>,
@@ -258,6 +261,7 @@ impl Vehicle {
             begun: false,
             ready: false,
             acknowledged: false,
+            lead: None,
             newest_power: None,
             said: BTreeMap::new(),
             period: None,
@@ -317,6 +321,7 @@ impl Vehicle {
         tracing::trace!(%from, "{}", peer.decoder.counts());
         self.meter.lost += packets.iter().map(|packet| peer.gap(packet)).sum::<u64>();
         let stamp = self.stamp();
+        self.lead = None;
         for packet in &packets {
             if let Ok(origin) = self.signing.check(packet, stamp) {
                 self.take(packet, origin, from, now);
@@ -347,6 +352,7 @@ impl Vehicle {
         self.make_room();
         self.introduce(from, peer, now);
         self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
+        self.lead = None;
         for (packet, origin) in &packets {
             self.take(packet, *origin, from, now);
         }

@@ -39,7 +39,7 @@ fn fly(
 
         let tick = Tick(k as u64);
         let wish = motion.vector();
-        gate.submit(Command { tick, accel: [wish.x as f32, wish.y as f32], power });
+        gate.submit(Command::new(tick, [wish.x as f32, wish.y as f32], power));
         let snr = world.snr(power, scenario);
         gate.transmit(tick, channel::outage(scenario.radio.b_dt, snr, scenario.radio.packet_bits));
         let held = gate.held().map_or([0.0; 2], |held| held.accel.map(f64::from));

@@ -190,7 +190,7 @@ fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
         // The gate carries what it is given; unit accelerations are exact in its f32.
         let wish = vector(flight.a_commanded[k]);
         let power = TxPower::from_level(flight.a_p[k] as f32).expect("the file has powers of the paper");
-        gate.submit(Command { tick: Tick(k as u64), accel: [wish.x as f32, wish.y as f32], power });
+        gate.submit(Command::new(Tick(k as u64), [wish.x as f32, wish.y as f32], power));
         let snr = world.snr(power, scenario);
         assert_close(snr.0, flight.snr[k], 1e-9, &format!("{at}: snr"));
         let outage = channel::outage(scenario.radio.b_dt, snr, scenario.radio.packet_bits);

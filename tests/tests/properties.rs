@@ -42,7 +42,7 @@ fn accel() -> impl Strategy<Value = [f32; 2]> {
 fn commands() -> impl Strategy<Value = Vec<Option<Command>>> {
     prop::collection::vec(prop::option::weighted(0.8, (accel(), power())), 1..60).prop_map(|wishes| {
         let stamp = |(k, wish): (usize, Option<([f32; 2], TxPower)>)| {
-            wish.map(|(accel, power)| Command { tick: Tick(k as u64), accel, power })
+            wish.map(|(accel, power)| Command::new(Tick(k as u64), accel, power))
         };
         wishes.into_iter().enumerate().map(stamp).collect()
     })
@@ -161,7 +161,7 @@ proptest! {
         let (mut now, mut flown) = (0, None);
         for (tick, submits, outage, power) in events {
             if submits {
-                gate.submit(Command { tick: Tick(tick), accel: [0.0; 2], power });
+                gate.submit(Command::new(Tick(tick), [0.0; 2], power));
             } else {
                 gate.transmit(Tick(now), outage);
                 now += 1;
@@ -182,12 +182,9 @@ proptest! {
     #[test]
     fn a_stale_command_changes_nothing(newest in 1u64..50, age in 1u64..50, power in power()) {
         let mut gate = Gate::new(Rule::Drop);
-        gate.submit(Command { tick: Tick(newest), accel: [1.0, 2.0], power });
-        let stale = Command {
-            tick: Tick(newest.saturating_sub(age)),
-            accel: [3.0, 4.0],
-            power: if power == TxPower::Low { TxPower::High } else { TxPower::Low },
-        };
+        gate.submit(Command::new(Tick(newest), [1.0, 2.0], power));
+        let other = if power == TxPower::Low { TxPower::High } else { TxPower::Low };
+        let stale = Command::new(Tick(newest.saturating_sub(age)), [3.0, 4.0], other);
         gate.submit(stale);
         prop_assert_eq!(gate.power(), power);
         gate.transmit(Tick(newest), false);

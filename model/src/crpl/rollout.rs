@@ -112,15 +112,18 @@ pub(super) fn forward(
     let motion_weight = objective.lambda_motion as f32;
     let power_cost = (objective.lambda_power as f32) * power * power;
     let reach = plant.scale * plant.v_max;
+    // The obstacle as its linear predictor has it, without walls.
+    let (mut straight, mut straight_before) = (t.u[1], t.u[0]);
 
     for k in 0..horizon {
-        let (now, before, obstacle) = (t.y[k + 1], t.y[k], t.u[k + 1]);
+        let (now, before) = (t.y[k + 1], t.y[k]);
+        let told = draws.told.map_or(t.u[k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
         for i in 0..2 {
             for l in 0..LANES {
                 x[i][l] = place * now[i][l];
                 x[2 + i][l] = speed * (now[i][l] - before[i][l]);
-                x[4 + i][l] = 0.5 * obstacle[i][l];
+                x[4 + i][l] = 0.5 * told[i][l];
             }
         }
         let p = &mut t.p[k * MOTIONS..(k + 1) * MOTIONS];
@@ -164,8 +167,12 @@ pub(super) fn forward(
         }
         t.y[k + 2] = next;
         let mut drift = [ZERO; 2];
-        apply(&plant.psi_u[0], &t.u[k + 1], &mut drift);
-        apply(&plant.psi_u[1], &t.u[k], &mut drift);
+        apply(&plant.psi_u[0], &straight, &mut drift);
+        apply(&plant.psi_u[1], &straight_before, &mut drift);
+        (straight, straight_before) = (drift, straight);
+        if let (Limits::Walls, Some(area)) = (plant.limits, &plant.area) {
+            area.reflect(&mut drift);
+        }
         t.u[k + 2] = drift;
     }
     score(plant, objective, power, &mut t);

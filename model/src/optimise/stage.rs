@@ -11,12 +11,21 @@ use sitl::{Scenario, camera};
 
 use super::{Heads, OptimiseConfig, OptimiseError};
 use crate::checkpoint;
-use crate::crpl::{Draws, Exact, Head, Plant, Quantity};
+use crate::crpl::{Area, Draws, Exact, Head, Plant, Quantity};
 use crate::kernel::{LANES, Lane, ZERO};
 use crate::world_model::{HeadsAt, WorldModel};
 
 /// What the encoder must provide: plane coordinates of a picture of UAV and obstacle.
 pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
+
+/// A belief to plan from: plane coordinates, each now and one interval ago.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Here {
+    /// y_c
+    pub y_c: [[f32; 2]; 2],
+    /// y_u
+    pub y_u: [[f32; 2]; 2],
+}
 
 /// A scenario seen through the encoder: start pairs, obstacle places.
 #[derive(Debug, Clone)]
@@ -66,6 +75,10 @@ impl Stage {
         let there = scenario.obstacle.position;
         plant.goal = place(scenario.goal, there).0;
         plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
+        let margin = scenario.obstacle.margin;
+        let corner = |x: f64, y: f64| place(scenario.start, Vector2::new(x, y)).1;
+        let far = 1.0 - margin;
+        plant.area = Area::new(corner(margin, margin), [corner(far, margin), corner(margin, far)]);
         plant.limits = config.limits;
         let noise = Noise::new(seed);
         let starts = (0..config.starts as u64)
@@ -102,6 +115,36 @@ impl Stage {
         &self.plant
     }
 
+    /// Rollouts that all begin at `here`, gusts by (seed, index).
+    #[must_use]
+    pub fn draws_from(
+        &self,
+        here: &Here,
+        noise: &Noise,
+        index: u64,
+        rollouts: usize,
+        horizon: usize,
+    ) -> Vec<Draws> {
+        let lanes = |y: [f32; 2]| y.map(|v| [v; LANES]);
+        (0..(rollouts / LANES) as u64)
+            .map(|block| {
+                let mut rng = noise.generator(Stream::Batches, (index << 16) | block);
+                let mut lane = || -> Lane {
+                    std::array::from_fn(|_| {
+                        let z: f64 = StandardNormal.sample(&mut rng);
+                        self.wind * z as f32
+                    })
+                };
+                Draws {
+                    start: here.y_c.map(lanes),
+                    obstacle: here.y_u.map(lanes),
+                    told: Some(self.obstacle),
+                    wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
+                }
+            })
+            .collect()
+    }
+
     /// Common random rollouts number `index`: equal for equal (seed, index), whoever asks.
     #[must_use]
     pub fn draws(
@@ -133,7 +176,7 @@ impl Stage {
                     })
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
-                Draws { start, obstacle: [fixed, fixed], wind }
+                Draws { start, obstacle: [fixed, fixed], told: None, wind }
             })
             .collect()
     }
@@ -157,6 +200,7 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         scale: world.scale as f32,
         v_max: scenario.dynamics.v_max as f32,
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
+        area: None,
         limits: config.limits,
         goal: [0.0; 2],
         collision,

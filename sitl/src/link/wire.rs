@@ -10,6 +10,7 @@
 //! | `Percept::frame` | image protocol, see [`super::image`] | 1 | PNG |
 //! | `Command::power` | COMMAND_LONG 31010 (MAV_CMD_USER_1) to 68 | station | param1 = 1 or 4, param2 = time stamp or 0 |
 //! | `Command::accel` | SET_POSITION_TARGET_LOCAL_NED | station | frame 1, mask 3135, afx north, afy east, m/s² |
+//! | `Command::plan` | SET_POSITION_TARGET_LOCAL_NED | station | as above, one a later interval, stamped with its tick, behind the command's own in the same datagram |
 //!
 //! All time stamps are [`Clock::boot_ms`] of a tick. The messages of a telemetry report travel in
 //! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
@@ -308,7 +309,8 @@ fn finite<const N: usize>(values: [f32; N]) -> Option<[f32; N]> {
     values.iter().all(|value| value.is_finite()).then_some(values)
 }
 
-/// Appends a command: power first, so that the setpoint behind it already goes out with it.
+/// Appends a command: power first, so that the setpoint behind it already goes out with it, and its
+/// plan as setpoints of the ticks that follow.
 pub fn push_command(
     command: &Command,
     clock: &Clock,
@@ -326,6 +328,11 @@ pub fn push_command(
     };
     station.push(datagram, &power);
     push_setpoint(command.tick, command.accel, clock, system, station, datagram);
+    let mut tick = command.tick;
+    for accel in command.plan.accelerations() {
+        tick = tick.next();
+        push_setpoint(tick, *accel, clock, system, station, datagram);
+    }
 }
 
 /// Appends a setpoint alone.

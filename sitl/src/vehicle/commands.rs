@@ -80,19 +80,32 @@ impl Vehicle {
         }
     }
 
-    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now.
+    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now. What follows
+    /// in the same datagram with the next ticks' stamps is that command's plan.
     fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, now: Duration) {
         let Setpoint { stamp_ms, accel } = match setpoint {
             Ok(setpoint) => setpoint,
             Err(refusal) => return self.refuse(refusal, now),
         };
         let current = self.sim.tick();
-        let stamped = self.clock.tick(stamp_ms).filter(|&tick| tick <= current);
+        let named = self.clock.tick(stamp_ms);
+        if let Some((command, next)) = self.lead.as_mut().filter(|(_, next)| named == Some(*next)) {
+            *next = next.next();
+            command.plan.push(accel);
+            let command = *command;
+            if command.tick == current && !self.over() && self.takes_setpoints() {
+                self.sim.handle(command);
+            }
+            return;
+        }
+        let stamped = named.filter(|&tick| tick <= current);
+        let tick = stamped.unwrap_or(current);
+        let command = Command::new(tick, accel, self.sim.power());
+        self.lead = stamped.map(|tick| (command, tick.next()));
         if self.over() {
             self.acknowledged |= stamped == Some(current);
             return;
         }
-        let tick = stamped.unwrap_or(current);
         if tick == current {
             self.tally.setpoints += 1;
             self.ready = true;
@@ -100,13 +113,17 @@ impl Vehicle {
             self.tally.stale += 1;
         }
         self.begun = true;
-        if self.conduct.mode == Mode::Guided && self.conduct.armed && !self.height.on_ground() {
-            self.sim.handle(Command { tick, accel, power: self.sim.power() });
+        if self.takes_setpoints() {
+            self.sim.handle(command);
             return;
         }
         self.tally.ignored += 1;
         let why = if self.conduct.mode == Mode::Guided { "on the ground" } else { self.conduct.mode.name() };
         self.refused("setpoint", &format!("setpoint ignored: {why}"), now);
+    }
+
+    fn takes_setpoints(&self) -> bool {
+        self.conduct.mode == Mode::Guided && self.conduct.armed && !self.height.on_ground()
     }
 
     fn refuse(&mut self, refusal: Refusal, now: Duration) {

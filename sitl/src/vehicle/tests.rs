@@ -69,10 +69,20 @@ impl Bench {
 
     fn command(&mut self, tick: u64, accel: [f32; 2], power: TxPower) -> Vec<Packet> {
         let mut datagram = Vec::new();
-        let command = Command { tick: Tick(tick), accel, power };
+        let command = Command::new(Tick(tick), accel, power);
         let clock = Clock::new(self.vehicle.sim.scenario());
         wire::push_command(&command, &clock, 7, &mut self.station, &mut datagram);
         self.datagram(&datagram)
+    }
+
+    /// A command with a plan, in one datagram.
+    fn planned(&mut self, tick: u64, accel: f32, plan: &[f32]) -> Vec<u8> {
+        let mut command = Command::new(Tick(tick), [accel, 0.0], TxPower::Low);
+        plan.iter().for_each(|x| command.plan.push([*x, 0.0]));
+        let clock = Clock::new(self.vehicle.sim.scenario());
+        let mut datagram = Vec::new();
+        wire::push_command(&command, &clock, 7, &mut self.station, &mut datagram);
+        datagram
     }
 
     fn hello(&mut self) -> Vec<Packet> {
@@ -454,4 +464,25 @@ fn timesync_is_answered_in_the_vehicles_time() {
     let reply = bench.send(&dialect::TIMESYNC_DATA { ts1: 99, ..Default::default() });
     let Some(MavMessage::TIMESYNC(sync)) = reply[0].message() else { panic!("an answer") };
     assert_eq!((sync.ts1, sync.tc1), (99, 1_000_000_000));
+}
+
+#[test]
+fn a_plan_is_flown_in_an_outage_and_never_taken_for_a_command() {
+    let mut scenario = Scenario::default();
+    scenario.radio.b_dt = 20.0;
+    let mut bench = Bench::with(scenario, Some(4));
+    let first = bench.planned(0, 1.0, &[2.0, 3.0]);
+    bench.datagram(&first);
+    assert!(bench.vehicle.ready());
+    bench.vehicle.advance(bench.now);
+    // The same datagram again: its second setpoint bears the present tick and is a plan all the same.
+    bench.datagram(&first);
+    assert!(!bench.vehicle.ready());
+    for accel in [2.0, 3.0, 3.0] {
+        bench.vehicle.advance(bench.now);
+        assert_eq!(bench.vehicle.sim.telemetry().held.map(|h| (h.tick, h.accel[0])), Some((Tick(0), accel)));
+    }
+    let late = bench.planned(2, 1.0, &[2.0, 3.0]);
+    bench.datagram(&late);
+    assert!(!bench.vehicle.acknowledged(), "a plan for the last tick is no acknowledgement");
 }

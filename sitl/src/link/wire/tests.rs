@@ -66,7 +66,7 @@ proptest! {
         high: bool,
     ) {
         let power = if high { TxPower::High } else { TxPower::Low };
-        let command = Command { tick: Tick(tick), accel, power };
+        let command = Command::new(Tick(tick), accel, power);
         let mut datagram = Vec::new();
         push_command(&command, &clock(), 7, &mut Encoder::new(255, 190), &mut datagram);
         let [first, second] = &Decoder::default().datagram(&datagram)[..] else { panic!("two messages") };
