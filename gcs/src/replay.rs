@@ -277,7 +277,7 @@ mod tests {
         for k in 0..20 {
             let motion = Motion::ALL[k % 5].vector() * scenario.dynamics.a_max;
             let accel = scenario.scale.ned_from_paper_acceleration(motion);
-            let command = Command { tick: Tick(k as u64), accel, power: TxPower::High };
+            let command = Command::new(Tick(k as u64), accel, TxPower::High);
             let before = sim.telemetry();
             sim.handle(command);
             sim.advance();

@@ -116,7 +116,7 @@ mod tests {
         let mut scenario = Scenario::default();
         let mut scene = Scene::new(scenario.clone(), [0.0; 2]);
         scene.percept([0.0; 2], [0.0; 2]);
-        let command = |tick, north| Command { tick, accel: [north, 0.0], power: TxPower::High };
+        let command = |tick, north| Command::new(tick, [north, 0.0], TxPower::High);
         assert_eq!(scene.pass(&command(Tick(0), 2.0)), [2.0, 0.0]);
         scenario.radio.b_dt = 1e-3;
         scene.scenario = scenario;
