@@ -221,7 +221,7 @@ pub async fn run(args: Args) -> Result<()> {
     let mut flown = flights.join_all().await;
     flown.sort_by_key(|(index, ..)| *index);
     for (_, ended, shell) in &flown {
-        tell(*ended, shell);
+        tell(*ended, shell, args.instances > 1);
     }
     if let (Some(path), Some((.., shell))) = (&args.save_params, flown.first()) {
         let text = param_file::write(shell.vehicle().settable_params());
@@ -239,9 +239,8 @@ fn read_params(path: &Path) -> Result<Vec<Entry>> {
     param_file::parse(&text).with_context(|| path.display().to_string())
 }
 
-/// What became of the flights of a shell.
-fn tell(ended: Ended, shell: &Shell) {
-    let several = shell.vehicles().len() > 1;
+/// What became of the flights of a shell, by the vehicles' names if there are several.
+fn tell(ended: Ended, shell: &Shell, several: bool) {
     for vehicle in shell.vehicles() {
         let (tick, fates) = (vehicle.sim().tick().0, vehicle.sim().fates());
         let name = if several { format!("vehicle {}: ", vehicle.system()) } else { String::new() };

@@ -130,7 +130,8 @@ pub struct Stats {
 impl fmt::Display for Stats {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let wall = self.wall.as_secs_f64();
-        write!(f, "{} vehicles, {} intervals in {wall:.1} s", self.vehicles, self.intervals)?;
+        let plural = if self.vehicles == 1 { "" } else { "s" };
+        write!(f, "{} vehicle{plural}, {} intervals in {wall:.1} s", self.vehicles, self.intervals)?;
         if self.lateness.count() > 0 {
             let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
             let [p50, p99] = [0.5, 0.99].map(|part| ms(self.lateness.percentile(part)));
