@@ -1,63 +1,97 @@
 //! What the station believes: the latents of the last pictures, and what became of its commands.
 //!
-//! The latents come from pictures alone; the ledger from what the vehicle says it flies. Neither
-//! knows the physics.
+//! The latents come from pictures, and their speed from the actions that the vehicle says it flew, by
+//! the learned predictor; the ledger from those reports alone. Neither knows the vehicle's position.
 
 use std::collections::BTreeMap;
 
+use model::observer::Observer;
+use model::weights::vector;
 use model::world_model::WorldModel;
+use nalgebra::Vector2;
+use sitl::Scenario;
 use sitl::camera::Frame;
-use sitl::msg::Telemetry;
+use sitl::msg::{Held, Telemetry};
 use sitl::radio::Fates;
 use sitl::scenario::Rule;
-use sitl::units::Tick;
+use sitl::units::{Scale, Tick};
 
-/// The latest latents in plane coordinates: M = 2 pictures.
+/// Missed percepts beyond which the gap's length no longer matters: longer than any window.
+const MOST_MISSED: u64 = 100;
+
+/// What the observer makes of the last pictures, in plane coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Latents {
-    /// y_c of the newest picture.
+    /// y_c at the newest picture.
     pub y_c: [f32; 2],
     /// y_c one interval earlier.
     pub y_c_before: [f32; 2],
-    /// y_u of the newest picture.
+    /// y_u at the newest picture.
     pub y_u: [f32; 2],
 }
 
 /// Latent history and ledger.
 #[derive(Debug, Clone)]
 pub struct Belief {
-    newest: Option<(Tick, Latents)>,
+    controllable: Observer,
+    uncontrollable: Observer,
+    /// Report that came with the newest picture.
+    newest: Option<Telemetry>,
+    latents: Latents,
+    scale: Scale,
+    a_max: f64,
     ledger: Ledger,
 }
 
 impl Belief {
-    /// Nothing seen, nothing sent.
+    /// Nothing seen, nothing sent. Reckons with the scenario's disturbance and speed limit.
     #[must_use]
-    pub fn new(rule: Rule) -> Self {
-        Self { newest: None, ledger: Ledger::new(rule) }
+    pub fn new(world: &WorldModel, scenario: &Scenario) -> Self {
+        let window = scenario.observer.window as usize;
+        let [c, u] = world.motions(scenario.dynamics.v_max, scenario.disturbance.kick());
+        Self {
+            controllable: Observer::new(c, window),
+            uncontrollable: Observer::new(u, window),
+            newest: None,
+            latents: Latents::default(),
+            scale: scenario.scale,
+            a_max: scenario.dynamics.a_max,
+            ledger: Ledger::new(scenario.radio.rule),
+        }
     }
 
     /// Takes in a picture and the report that came with it.
     pub fn observe(&mut self, world: &WorldModel, telemetry: &Telemetry, frame: &Frame) {
         let latent = world.encode(frame);
-        let (y_c, y_u) = (world.y_c(&latent), world.y_u(&latent));
-        let y_c_before = match self.newest {
-            // Pictures may be missing in real time: the speed is then the mean over the gap.
-            Some((tick, then)) if telemetry.tick > tick => {
-                let gap = (telemetry.tick.0 - tick.0) as f32;
-                std::array::from_fn(|i| y_c[i] - (y_c[i] - then.y_c[i]) / gap)
-            }
-            Some((_, then)) => then.y_c_before,
-            None => y_c,
-        };
-        self.newest = Some((telemetry.tick, Latents { y_c, y_c_before, y_u }));
+        let flown = self.flown(telemetry);
+        self.controllable.observe(vector(world.y_c(&latent)), &flown);
+        self.uncontrollable.observe(vector(world.y_u(&latent)), &vec![Vector2::zeros(); flown.len()]);
+        let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
+        if let (Some(c), Some(u)) = (self.controllable.estimate(), self.uncontrollable.estimate()) {
+            self.latents = Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u: narrow(u.y) };
+        }
+        self.newest = Some(*telemetry);
         self.ledger.hear(telemetry);
+    }
+
+    /// Normalised accelerations of the intervals since the newest picture, oldest first: what the
+    /// vehicle says it flew, not what was sent. A command is flown from its own tick on.
+    fn flown(&self, telemetry: &Telemetry) -> Vec<Vector2<f64>> {
+        let Some(before) = self.newest else { return Vec::new() };
+        let gap = telemetry.tick.0.saturating_sub(before.tick.0).min(MOST_MISSED);
+        let normalised = |held: Held| self.scale.paper_from_ned_acceleration(held.accel) / self.a_max;
+        (telemetry.tick.0 - gap..telemetry.tick.0)
+            .map(|tick| {
+                let held = telemetry.held.filter(|held| held.tick.0 <= tick).or(before.held);
+                held.map_or(Vector2::zeros(), normalised)
+            })
+            .collect()
     }
 
     /// The newest latents; zeros before the first picture.
     #[must_use]
     pub fn latents(&self) -> Latents {
-        self.newest.map(|(_, latents)| latents).unwrap_or_default()
+        self.latents
     }
 
     /// The ledger.
@@ -137,7 +171,7 @@ impl Ledger {
 
 #[cfg(test)]
 mod tests {
-    use sitl::msg::{Held, LinkReport, TxPower};
+    use sitl::msg::{LinkReport, TxPower};
 
     use super::*;
 
@@ -178,5 +212,37 @@ mod tests {
         ledger.hear(&report(1, None, true));
         ledger.hear(&report(2, Some(0), false));
         assert_eq!(ledger.fates(), Fates { sent: 1, delayed: 1, ..Fates::default() });
+    }
+
+    /// Flies by hand with gaps: places obey the actions that are reported as held.
+    #[test]
+    fn the_speed_is_right_under_held_actions_and_missed_percepts() {
+        let world = WorldModel::embedded().unwrap();
+        let mut scenario = Scenario::default();
+        scenario.observer.window = 10;
+        let mut belief = Belief::new(&world, &scenario);
+        let (mut r, mut v) = (Vector2::new(0.3, 0.6), Vector2::new(0.004, -0.002));
+        let mut held: Option<Held> = None;
+        for tick in 0..25u64 {
+            // An outage from 8 to 14: the command of tick 7 is held all through; percepts 18, 19 are missed.
+            let lost = (8..14).contains(&tick);
+            if ![18, 19].contains(&tick) {
+                let frame = sitl::camera::render(r, scenario.obstacle.position, &scenario);
+                belief.observe(&world, &Telemetry { held, ..report(tick, None, lost) }, &frame);
+                let a =
+                    Vector2::new((tick as f64).sin(), (tick as f64 * 0.6).cos()) * scenario.dynamics.a_max;
+                let accel = scenario.scale.ned_from_paper_acceleration(a);
+                held = if lost { held } else { Some(Held { tick: Tick(tick), accel }) };
+            }
+            let a = held.map_or(Vector2::zeros(), |h| scenario.scale.paper_from_ned_acceleration(h.accel));
+            v += a;
+            r += v;
+        }
+        let frame = sitl::camera::render(r, scenario.obstacle.position, &scenario);
+        belief.observe(&world, &Telemetry { held, ..report(25, None, false) }, &frame);
+        let Latents { y_c, y_c_before, .. } = belief.latents();
+        let seen = [0, 1].map(|i| f64::from(y_c[i] - y_c_before[i]) / world.scale);
+        let off = (Vector2::from(seen) - v).norm();
+        assert!(off < 1e-4, "{seen:?} instead of {v}, off by {off}");
     }
 }

@@ -32,7 +32,7 @@ impl Station {
     #[must_use]
     pub fn new(scenario: Scenario, world: Arc<WorldModel>, pilot: Pilot) -> Self {
         Self {
-            belief: Belief::new(scenario.radio.rule),
+            belief: Belief::new(&world, &scenario),
             scenario,
             world,
             pilot,

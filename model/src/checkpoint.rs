@@ -3,6 +3,7 @@
 //!
 //! Every shape is checked on reading. Knows files and names; computes nothing.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix2, SMatrix, Vector2};
@@ -170,6 +171,11 @@ impl Writer {
 
     /// The bytes of a safetensors file.
     pub fn bytes(&self) -> Result<Vec<u8>, CheckpointError> {
+        self.bytes_about(None)
+    }
+
+    /// The bytes of a safetensors file with this metadata.
+    pub fn bytes_about(&self, metadata: Option<HashMap<String, String>>) -> Result<Vec<u8>, CheckpointError> {
         let wrong = |e: safetensors::SafeTensorError| CheckpointError::Format {
             path: TENSORS.into(),
             message: e.to_string(),
@@ -178,7 +184,7 @@ impl Writer {
         for (name, dtype, shape, bytes) in &self.tensors {
             views.push((name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).map_err(wrong)?));
         }
-        safetensors::serialize(views, None).map_err(wrong)
+        safetensors::serialize(views, metadata).map_err(wrong)
     }
 }
 

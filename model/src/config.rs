@@ -10,6 +10,7 @@ use crate::closed_form::ClosedForm;
 use crate::evaluate::EvaluationConfig;
 use crate::heads::HeadsConfig;
 use crate::lens::Lens;
+use crate::predictors::NetworksConfig;
 use crate::stages::{Layers, Stages};
 
 /// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
@@ -39,6 +40,8 @@ pub struct TrainConfig {
     pub closed_form: ClosedForm,
     /// The predictors.
     pub predictor: PredictorConfig,
+    /// The networks that the linear predictor is compared with.
+    pub networks: NetworksConfig,
     /// The risk and channel heads.
     pub heads: HeadsConfig,
     /// What is measured at the end.
@@ -61,6 +64,7 @@ impl Default for TrainConfig {
             encoder: EncoderConfig::default(),
             closed_form: ClosedForm::default(),
             predictor: PredictorConfig::default(),
+            networks: NetworksConfig::default(),
             heads: HeadsConfig::default(),
             evaluation: EvaluationConfig::default(),
             alarms: Limits::default(),
@@ -203,6 +207,13 @@ impl TrainConfig {
             ("batch", self.batch),
             ("predictor.episodes", self.predictor.episodes),
             ("predictor.lag", self.predictor.lag),
+            ("networks.episodes", self.networks.episodes),
+            ("networks.held_out", self.networks.held_out),
+            ("networks.hidden", self.networks.hidden),
+            ("networks.short_steps", self.networks.short_steps),
+            ("networks.mlp_steps", self.networks.mlp_steps),
+            ("networks.lstm_steps", self.networks.lstm_steps),
+            ("networks.batch", self.networks.batch),
             ("heads.frames", self.heads.frames),
             ("heads.batch", self.heads.batch),
             ("evaluation.frames", self.evaluation.frames),
@@ -239,6 +250,7 @@ impl TrainConfig {
             ("closed_form.floor_u", self.closed_form.floor_u),
             ("closed_form.keep", self.closed_form.keep),
             ("predictor.ridge", self.predictor.ridge),
+            ("networks.learning_rate", self.networks.learning_rate),
             ("heads.learning_rate", self.heads.learning_rate),
             ("heads.distance_floor", self.heads.distance_floor),
         ];

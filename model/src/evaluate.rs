@@ -3,6 +3,11 @@
 //! Ground truth is used here alone, and only to measure. Errors are l1 in px (0.01 unit), as the
 //! paper has them.
 
+pub mod figures;
+pub mod intervals;
+pub mod report;
+pub mod rollout;
+
 use nalgebra::Vector2;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
@@ -14,7 +19,7 @@ use crate::closed_form::Check;
 use crate::dataset::{self, EDGE_BAND, Episode, Start};
 use crate::heads::{self, HeadsConfig, Scene, Station, auc, calibration_error};
 use crate::probe::{quantile, r_squared};
-use crate::weights::vector;
+use crate::weights::{LATENT, vector};
 use crate::world_model::WorldModel;
 
 /// How much is measured.
@@ -149,33 +154,61 @@ const EVALUATION_EPISODES: u64 = 9;
 /// Decode errors on `count` fresh pictures, both bodies anywhere.
 #[must_use]
 pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> ProbeMetrics {
+    let d = decoded(model, count, scenario, noise);
+    ProbeMetrics {
+        c_middle_p90_px: quantile(&d.whole, 0.9),
+        c_edge_p90_px: quantile(&d.cut, 0.9),
+        c_edge_max_px: quantile(&d.cut, 1.0),
+        u_p90_px: quantile(&d.obstacle, 0.9),
+        u_overlap_p90_px: quantile(&d.covered, 0.9),
+        leak_c_to_u: r_squared(&d.z_c, &d.r_u),
+        leak_u_to_c: r_squared(&d.z_u, &d.r_c),
+    }
+}
+
+/// Decode errors and what they come from, l1, px.
+#[derive(Debug, Clone, Default)]
+struct Decoded {
+    /// UAV whose disc is whole.
+    whole: Vec<f64>,
+    /// UAV whose disc the frame cuts.
+    cut: Vec<f64>,
+    /// Obstacle.
+    obstacle: Vec<f64>,
+    /// Obstacle of which the UAV covers a part.
+    covered: Vec<f64>,
+    z_c: Vec<[f32; LATENT]>,
+    z_u: Vec<[f32; LATENT]>,
+    r_c: Vec<Vector2<f64>>,
+    r_u: Vec<Vector2<f64>>,
+}
+
+fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> Decoded {
     let mut rng = noise.generator(Stream::Evaluation, 0);
     let scenes: Vec<Scene> = (0..count).map(|_| heads::uniform_scene(scenario, &mut rng)).collect();
     let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
     let px = SIDE as f64;
     let l1 = |a: Vector2<f64>, b: Vector2<f64>| px * (a - b).abs().sum();
-    let depth = |s: &Scene| s.uav.iter().map(|x| x.min(1.0 - x)).fold(1.0, f64::min);
     let reach = scenario.obstacle.radius + scenario.uav_radius + scenario.camera.edge_px / px;
-    let errors_c: Vec<f64> = scenes.iter().zip(&latents).map(|(s, l)| l1(model.uav(l), s.uav)).collect();
-    let errors_u: Vec<f64> =
-        scenes.iter().zip(&latents).map(|(s, l)| l1(model.obstacle(l), s.obstacle)).collect();
-    let of = |errors: &[f64], wanted: &dyn Fn(&Scene) -> bool| -> Vec<f64> {
-        scenes.iter().zip(errors).filter(|(s, _)| wanted(s)).map(|(_, e)| *e).collect()
-    };
-    let edge = of(&errors_c, &|s| depth(s) < EDGE_BAND);
-    let uav: Vec<_> = scenes.iter().map(|s| s.uav).collect();
-    let obstacle: Vec<_> = scenes.iter().map(|s| s.obstacle).collect();
-    let z_c: Vec<_> = latents.iter().map(|l| l.z_c).collect();
-    let z_u: Vec<_> = latents.iter().map(|l| l.z_u).collect();
-    ProbeMetrics {
-        c_middle_p90_px: quantile(&of(&errors_c, &|s| depth(s) >= EDGE_BAND), 0.9),
-        c_edge_p90_px: quantile(&edge, 0.9),
-        c_edge_max_px: quantile(&edge, 1.0),
-        u_p90_px: quantile(&errors_u, 0.9),
-        u_overlap_p90_px: quantile(&of(&errors_u, &|s| (s.uav - s.obstacle).norm() < reach), 0.9),
-        leak_c_to_u: r_squared(&z_c, &obstacle),
-        leak_u_to_c: r_squared(&z_u, &uav),
+    let mut d = Decoded::default();
+    for (s, l) in scenes.iter().zip(&latents) {
+        let depth = s.uav.iter().map(|x| x.min(1.0 - x)).fold(1.0, f64::min);
+        let (c, u) = (l1(model.uav(l), s.uav), l1(model.obstacle(l), s.obstacle));
+        if depth < EDGE_BAND {
+            d.cut.push(c)
+        } else {
+            d.whole.push(c)
+        }
+        if (s.uav - s.obstacle).norm() < reach {
+            d.covered.push(u);
+        }
+        d.obstacle.push(u);
+        d.z_c.push(l.z_c);
+        d.z_u.push(l.z_u);
+        d.r_c.push(s.uav);
+        d.r_u.push(s.obstacle);
     }
+    d
 }
 
 /// y_c and y_u of a picture, or at the end of a rollout.
@@ -230,7 +263,45 @@ fn last_scene(episode: &Episode) -> Scene {
     Scene { uav: episode.uav[episode.uav.len() - 1], obstacle: episode.obstacle[1] }
 }
 
+/// The heads' answers beside the truth.
+#[derive(Debug, Clone, Default)]
+struct Judged {
+    /// p_coll as predicted.
+    predicted: Vec<f64>,
+    /// p_coll.
+    truth: Vec<f64>,
+    /// Absolute error of the gain, dB.
+    gain_db: Vec<f64>,
+}
+
+impl Judged {
+    /// What counts as a collision.
+    fn hit(&self) -> Vec<bool> {
+        self.truth.iter().map(|p| *p > 0.5).collect()
+    }
+}
+
 /// Heads at these plane coordinates against the truth of the scenes with their base stations.
+fn judged(
+    model: &WorldModel,
+    scenes: &[(Scene, Vector2<f64>)],
+    seen: &[Ends],
+    scenario: &Scenario,
+    floor: f64,
+) -> Judged {
+    let decibel = 10.0 / std::f64::consts::LN_10;
+    let narrow = |y: &Vector2<f64>| [y.x as f32, y.y as f32];
+    let mut judged = Judged::default();
+    for ((scene, station), (c, u)) in scenes.iter().zip(seen) {
+        let label = scene.label(*station, scenario, floor);
+        let (heads, c, u) = (model.heads_at(*station), narrow(c), narrow(u));
+        judged.predicted.push(f64::from(heads.collision(c, u)));
+        judged.truth.push(label.collision);
+        judged.gain_db.push(decibel * (f64::from(heads.log_gain(c, u)) - label.log_gain).abs());
+    }
+    judged
+}
+
 fn judge(
     model: &WorldModel,
     scenes: &[(Scene, Vector2<f64>)],
@@ -238,25 +309,14 @@ fn judge(
     scenario: &Scenario,
     config: &HeadsConfig,
 ) -> HeadMetrics {
-    let narrow = |y: &Vector2<f64>| [y.x as f32, y.y as f32];
-    let floor = config.distance_floor;
-    let labels: Vec<_> = scenes.iter().map(|(s, station)| s.label(*station, scenario, floor)).collect();
-    let truth: Vec<f64> = labels.iter().map(|l| l.collision).collect();
-    let hit: Vec<bool> = truth.iter().map(|p| *p > 0.5).collect();
-    let decibel = 10.0 / std::f64::consts::LN_10;
-    let (mut predicted, mut gain) = (Vec::new(), Vec::new());
-    for (((_, station), (c, u)), label) in scenes.iter().zip(seen).zip(&labels) {
-        let (heads, c, u) = (model.heads_at(*station), narrow(c), narrow(u));
-        predicted.push(f64::from(heads.collision(c, u)));
-        gain.push(decibel * (f64::from(heads.log_gain(c, u)) - label.log_gain).abs());
-    }
+    let j = judged(model, scenes, seen, scenario, config.distance_floor);
     let n = scenes.len().max(1) as f64;
     HeadMetrics {
-        collision_auc: auc(&predicted, &hit),
-        collision_ece: calibration_error(&predicted, &truth),
-        collision_mae: predicted.iter().zip(&truth).map(|(p, t)| (p - t).abs()).sum::<f64>() / n,
-        gain_rms_db: (gain.iter().map(|e| e * e).sum::<f64>() / n).sqrt(),
-        gain_p90_db: quantile(&gain, 0.9),
+        collision_auc: auc(&j.predicted, &j.hit()),
+        collision_ece: calibration_error(&j.predicted, &j.truth),
+        collision_mae: j.predicted.iter().zip(&j.truth).map(|(p, t)| (p - t).abs()).sum::<f64>() / n,
+        gain_rms_db: (j.gain_db.iter().map(|e| e * e).sum::<f64>() / n).sqrt(),
+        gain_p90_db: quantile(&j.gain_db, 0.9),
     }
 }
 

@@ -129,7 +129,7 @@ fn fit<const INPUTS: usize>(
 }
 
 /// PyTorch's default start, U(±1/sqrt(inputs)), from our own stream.
-fn linear(inputs: usize, outputs: usize, device: &Device, rng: &mut impl Rng) -> Linear {
+pub(crate) fn linear(inputs: usize, outputs: usize, device: &Device, rng: &mut impl Rng) -> Linear {
     let bound = 1.0 / (inputs as f32).sqrt();
     let mut draw =
         |count: usize| -> Vec<f32> { (0..count).map(|_| rng.random_range(-bound..bound)).collect() };
@@ -140,7 +140,8 @@ fn linear(inputs: usize, outputs: usize, device: &Device, rng: &mut impl Rng) ->
     linear
 }
 
-fn dense(linear: &Linear) -> Dense {
+/// A burn layer as plain arrays.
+pub(crate) fn dense(linear: &Linear) -> Dense {
     let [inputs, outputs] = linear.weight.dims();
     let b = linear.bias.as_ref().map_or_else(|| vec![0.0; outputs], |b| values(b.val()));
     Dense { inputs, outputs, w: values(linear.weight.val()), b }

@@ -16,6 +16,9 @@
 //! | [`weights`] | the encoder's numbers and its structured start | pictures |
 //! | [`closed_form`] | the latent heads by least squares | labels |
 //! | [`predictor`] | linear second-order steps of both halves | pictures, positions |
+//! | [`predictors`] | the MLP and the LSTM that it is compared with | pictures, positions |
+//! | `predictors_fit` | their training in burn | positions, heads |
+//! | [`observer`] | place and speed from several latents and the actions flown | pictures, positions |
 //! | [`heads`] | collision probability and channel gain: labels, measures | networks |
 //! | [`heads_at`] | the heads' networks, and what they are for one base station | labels |
 //! | `heads_fit` | their training in burn | pictures |
@@ -30,13 +33,14 @@
 //! | [`dataset`] | episodes from the simulator's world | networks |
 //! | `train` | the recipe | flights |
 //! | [`evaluate`] | what it is worth on held-out pictures | training |
+//! | [`plot`] | line charts as SVG and PNG | what they show |
 //! | [`policy`] | π_s and π_p, and how they are executed | positions, bandwidth |
 //! | [`crpl`] | J_η on latent rollouts, and its gradient | pictures |
 //! | [`optimise`] | Algorithm 1 | the simulator |
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 //!
-//! `jepa`, `heads_fit`, `gradient`, `losses`, `fit`, `kept`, `ablate` and `train` need burn: they come
+//! `jepa`, `heads_fit`, `predictors_fit`, `gradient`, `losses`, `fit`, `kept`, `ablate` and `train` need burn: they come
 //! with the cargo feature `train`, which the `model` program has and a ground station does without.
 
 #![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
@@ -70,9 +74,14 @@ pub mod lens;
 #[cfg(feature = "train")]
 pub mod losses;
 pub mod mlp;
+pub mod observer;
 pub mod optimise;
+pub mod plot;
 pub mod policy;
 pub mod predictor;
+pub mod predictors;
+#[cfg(feature = "train")]
+pub mod predictors_fit;
 pub mod probe;
 pub mod stages;
 #[cfg(feature = "train")]

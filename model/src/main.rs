@@ -1,6 +1,7 @@
-//! `model collect | train | optimise`: makes the data, the world model and the policies.
+//! `model collect | train | evaluate | optimise`: makes the data, the world model and the policies.
 
 mod ablate_cli;
+mod evaluate_cli;
 mod optimise_cli;
 
 use std::path::PathBuf;
@@ -32,6 +33,8 @@ enum Command {
     Ablate(ablate_cli::Ablate),
     /// Print where encoders break: errors on harder cameras and in harder states.
     Hard(ablate_cli::Hard),
+    /// Measure a world model on fresh pictures and draw the paper's Fig. 3.
+    Evaluate(evaluate_cli::Evaluate),
     /// Optimise CRPL's two policies in latent space (Algorithm 1).
     Optimise(optimise_cli::Optimise),
 }
@@ -88,6 +91,7 @@ fn main() -> ExitCode {
         Command::Train(args) => run(&args),
         Command::Ablate(args) => ablate_cli::ablate(&args),
         Command::Hard(args) => ablate_cli::hard(&args),
+        Command::Evaluate(args) => evaluate_cli::run(&args),
         Command::Optimise(args) => optimise_cli::run(&args),
     })
 }

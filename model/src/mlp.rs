@@ -27,6 +27,18 @@ impl Dense {
     pub fn zeros(inputs: usize, outputs: usize) -> Self {
         Self { inputs, outputs, w: vec![0.0; inputs * outputs], b: vec![0.0; outputs] }
     }
+
+    /// x W + b.
+    #[must_use]
+    pub fn forward(&self, x: &[f32]) -> Vec<f32> {
+        let mut y = self.b.clone();
+        for (xi, row) in x.iter().zip(self.w.chunks_exact(self.outputs)) {
+            for (yj, w) in y.iter_mut().zip(row) {
+                *yj = xi.mul_add(*w, *yj);
+            }
+        }
+        y
+    }
 }
 
 /// Layers with tanh between them and nothing after the last.
@@ -60,12 +72,7 @@ impl Mlp {
     pub fn forward(&self, x: &[f32]) -> Vec<f32> {
         let mut x = x.to_vec();
         for (n, layer) in self.layers.iter().enumerate() {
-            let mut y = layer.b.clone();
-            for (xi, row) in x.iter().zip(layer.w.chunks_exact(layer.outputs)) {
-                for (yj, w) in y.iter_mut().zip(row) {
-                    *yj = xi.mul_add(*w, *yj);
-                }
-            }
+            let mut y = layer.forward(&x);
             if n + 1 < self.layers.len() {
                 y.iter_mut().for_each(|v| *v = kernel::tanh(*v));
             }

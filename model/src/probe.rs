@@ -84,6 +84,26 @@ pub fn r_squared<const N: usize>(z: &[[f32; N]], r: &[Vector2<f64>]) -> f64 {
     1.0 - residual / total
 }
 
+/// exp of the entropy of the covariance's normalised eigenvalues: how many dimensions are in use.
+#[must_use]
+pub fn effective_rank<const N: usize>(z: &[[f32; N]]) -> f64 {
+    let n = z.len().max(1) as f64;
+    let wide = |z: &[f32; N]| nalgebra::DVector::from_fn(N, |k, _| f64::from(z[k]));
+    let mean = z.iter().fold(nalgebra::DVector::zeros(N), |m, z| m + wide(z)) / n;
+    let mut covariance = DMatrix::<f64>::zeros(N, N);
+    for z in z {
+        let off = wide(z) - &mean;
+        covariance.ger(1.0 / n, &off, &off, 1.0);
+    }
+    let values = covariance.symmetric_eigenvalues();
+    let whole: f64 = values.iter().map(|v| v.max(0.0)).sum();
+    if whole <= 0.0 {
+        return 0.0;
+    }
+    let shares = values.iter().map(|v| v.max(0.0) / whole).filter(|p| *p > 0.0);
+    (-shares.map(|p| p * p.ln()).sum::<f64>()).exp()
+}
+
 /// Quantile `p` in [0, 1] of `values`, by the nearest rank; NaN of nothing.
 #[must_use]
 pub fn quantile(values: &[f64], p: f64) -> f64 {
@@ -105,6 +125,19 @@ mod tests {
         let found = fit(&y, &r);
         assert!((found.matrix - truth.matrix).norm() < 1e-6 && (found.offset - truth.offset).norm() < 1e-6);
         assert!((found.invert(r[7]).unwrap() - y[7]).norm() < 1e-5);
+    }
+
+    #[test]
+    fn the_effective_rank_counts_dimensions() {
+        let z = |used: usize| -> Vec<[f32; 6]> {
+            let value = |n: usize, k: usize| ((n * (2 * k + 3)) as f32 * 0.7).sin();
+            (0..3000).map(|n| std::array::from_fn(|k| if k < used { value(n, k) } else { 1.0 })).collect()
+        };
+        for used in [1, 2, 6] {
+            let rank = effective_rank(&z(used));
+            assert!((rank - used as f64).abs() < 0.05, "{rank} of {used}");
+        }
+        assert_eq!(effective_rank(&z(0)), 0.0);
     }
 
     #[test]

@@ -26,7 +26,9 @@ use crate::jepa::{Backend, NoBackend};
 use crate::kept::{self, Kept};
 use crate::lens::Lenses;
 use crate::mlp::Mlp;
+use crate::plot::PlotError;
 use crate::predictor::Linear;
+use crate::predictors_fit;
 use crate::probe::Probe;
 use crate::stages::Init;
 use crate::weights::{self, Colour, Input, Weights};
@@ -50,6 +52,9 @@ pub enum TrainError {
     /// The predictors could not be fitted.
     #[error("the predictors' normal equations are singular: take more episodes")]
     Predictor,
+    /// The learning curves could not be drawn.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
     /// The backend is not in this build.
     #[error(transparent)]
     Backend(#[from] NoBackend),
@@ -155,6 +160,17 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
     // Only a model without alarms takes the checkpoint's place.
     let dir = if alarms.is_empty() { run.out.clone() } else { run.out.join(REJECTED) };
     model.save(&dir)?;
+    if alarms.is_empty() {
+        // What the linear predictor is compared with.
+        let networks = &config.networks;
+        let bar =
+            setting.bar("networks", 2 * networks.short_steps + networks.mlp_steps + networks.lstm_steps);
+        let steps = config.data.steps;
+        let trained =
+            predictors_fit::train(&model, networks, steps, &device, &scenario, &noise, || bar.inc(1))?;
+        bar.finish();
+        predictors_fit::publish(&trained, &dir)?;
+    }
     let (wall, cpu) = (started.elapsed().as_secs_f64(), cpu_seconds() - cpu_before);
     let card = card_text(&model, &figures, &alarms, &revision, wall, cpu);
     checkpoint::write_all(&dir.join(CARD), card.as_bytes())?;

@@ -15,6 +15,7 @@ use crate::evaluate::Metrics;
 pub use crate::heads_at::{Heads, HeadsAt};
 use crate::infer::Encoder;
 pub use crate::infer::Latent;
+use crate::observer::Motion;
 use crate::predictor::{Linear, Plane, Reduced};
 pub use crate::probe::{Affine, Probe};
 use crate::weights::{LATENT, on_plane, vector};
@@ -98,6 +99,16 @@ impl WorldModel {
     #[must_use]
     pub fn reduced(&self) -> Reduced {
         self.predictor.reduced(&plane(&self.plane_c), &plane(&self.plane_u))
+    }
+
+    /// How both halves move, for the observer: controllable and uncontrollable. `v_max` and `kick` (the
+    /// disturbance's standard deviation) in units per interval.
+    #[must_use]
+    pub fn motions(&self, v_max: f64, kick: f64) -> [Motion; 2] {
+        let psi = self.reduced();
+        // The probe's matrix is units per latent unit.
+        let scale_u = 1.0 / (self.probe.u.matrix.norm() / std::f64::consts::SQRT_2).max(1e-9);
+        [Motion::controllable(&psi, self.scale, v_max, kick), Motion::uncontrollable(&psi, scale_u)]
     }
 
     /// Where the model sees the UAV, paper units (probe; for plots and metrics).

@@ -59,6 +59,60 @@ fn actions_matter_ten_times_over() {
 }
 
 #[test]
+fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
+    use model::evaluate::report::{ReportConfig, measure};
+    use model::predictors::Predictors;
+
+    let (model, networks) = (shipped(), Predictors::embedded().expect("the shipped networks read"));
+    assert_eq!(networks.world, model::checkpoint::fingerprint(&model).unwrap());
+    let config = ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20 };
+    let measured = measure(&model, &networks, &config, &Scenario::default(), || ());
+    let json = serde_json::to_value(&measured.report).unwrap();
+
+    let rows = json["rollout"].as_array().unwrap();
+    assert_eq!(rows.len(), 5 * 3 * 5);
+    let row = |predictor: &str, start: &str, h: u64| {
+        let found =
+            rows.iter().find(|r| r["predictor"] == predictor && r["start"] == start && r["h"] == h).unwrap();
+        for key in ["p02", "p1", "p5", "p90_px"] {
+            let value = found[key].as_f64().unwrap();
+            let ends = [0, 1].map(|n| found["ci"][key][n].as_f64().unwrap());
+            assert!(ends[0] <= value && value <= ends[1], "{key} of {found}");
+        }
+        found
+    };
+    for predictor in ["linear", "mlp", "lstm", "constant_velocity", "observer"] {
+        for start in ["rest", "rest_moving_obstacle", "moving"] {
+            for h in [1, 10, 20, 50, 100] {
+                row(predictor, start, h);
+            }
+        }
+    }
+    let number = |path: &str| json.pointer(path).and_then(|v| v.as_f64()).expect(path);
+    let of =
+        |predictor: &str, start: &str, h: u64, key: &str| row(predictor, start, h)[key].as_f64().unwrap();
+    assert!(of("linear", "rest", 100, "p1") >= 0.99 && of("linear", "rest", 100, "p90_px") <= 0.3);
+    assert!(of("linear", "rest", 1, "p02") >= 0.98);
+    // 0.97 over 1000 trajectories; 200 tell it to within their interval.
+    let observed = row("observer", "moving", 100)["ci"]["p1"][1].as_f64().unwrap();
+    assert!(observed >= 0.97, "{}", row("observer", "moving", 100));
+    // What the observer is for: two pictures of a moving UAV do not do it.
+    assert!(of("linear", "moving", 100, "p1") < 0.5);
+    assert!(of("linear", "rest", 100, "p90_px") < of("mlp", "rest", 100, "p90_px"));
+    assert!(of("linear", "rest", 100, "p90_px") < of("lstm", "rest", 100, "p90_px"));
+    assert!(of("mlp", "rest", 100, "p90_px") < of("constant_velocity", "rest", 100, "p90_px"));
+    assert!(number("/heads/auc") >= 0.998 && number("/heads/ece") <= 0.01);
+    assert!(number("/heads/gain_rms_db") <= 0.35 && number("/heads/gain_rollout_rms_db") <= 0.5);
+    assert!(number("/actions/shuffled_px") >= 10.0 * number("/actions/true_px"));
+    assert!(number("/actions/zero_px") >= 10.0 * number("/actions/true_px"));
+    assert!(number("/probe/z_c_p90_px") <= 0.15 && number("/probe/z_u_p90_px") <= 0.3);
+    assert!(number("/probe/leak_c") < 0.05 && number("/probe/leak_u") < 0.05);
+    for half in ["/rank/z_c", "/rank/z_u"] {
+        assert!((1.9..=2.05).contains(&number(half)), "{half} {}", number(half));
+    }
+}
+
+#[test]
 fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
     let (model, scenario) = (shipped(), Scenario::default());
     let episode = &dataset::collect(1, 20, Start::Mixed, &scenario, &fresh(), 0)[0];

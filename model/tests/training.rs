@@ -8,6 +8,7 @@ use model::evaluate::EvaluationConfig;
 use model::heads::HeadsConfig;
 use model::jepa::Backend;
 use model::lens::Lens;
+use model::predictors::NetworksConfig;
 use model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
 use model::train::{Run, TrainError, train};
 use model::world_model::WorldModel;
@@ -18,6 +19,16 @@ fn small() -> TrainConfig {
         data: DataConfig { episodes: 60, edge_episodes: 20, steps: 100 },
         frames: 3600,
         predictor: PredictorConfig { episodes: 6, ..PredictorConfig::default() },
+        networks: NetworksConfig {
+            episodes: 6,
+            held_out: 4,
+            hidden: 8,
+            short_steps: 8,
+            mlp_steps: 8,
+            lstm_steps: 8,
+            batch: 4,
+            ..NetworksConfig::default()
+        },
         heads: HeadsConfig { frames: 300, steps: 40, batch: 32, ..HeadsConfig::default() },
         evaluation: EvaluationConfig { frames: 300, rollouts: 30, horizon: 100 },
         ..TrainConfig::default()
@@ -32,9 +43,10 @@ fn go(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
     train(config, run).map(|(model, _)| model)
 }
 
-fn bytes(out: &Path) -> (Vec<u8>, String) {
-    let tensors = std::fs::read(out.join("model.safetensors")).expect("the run wrote its tensors");
-    (tensors, std::fs::read_to_string(out.join("config.json")).expect("the run wrote its config"))
+/// Everything that equal seeds have to write alike.
+fn bytes(out: &Path) -> [Vec<u8>; 4] {
+    ["model.safetensors", "config.json", "predictors.safetensors", "predictors_loss.csv"]
+        .map(|name| std::fs::read(out.join(name)).expect("the run wrote it"))
 }
 
 #[test]

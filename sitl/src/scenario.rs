@@ -44,6 +44,8 @@ pub struct Scenario {
     pub scale: Scale,
     /// What the camera draws.
     pub camera: crate::camera::Camera,
+    /// How the ground station tells place and speed from pictures.
+    pub observer: Observer,
     /// What the vehicle does when it hears nothing.
     pub failsafe: Failsafe,
     /// How the vehicle flies by itself: missions, return, landing.
@@ -69,6 +71,7 @@ impl Default for Scenario {
             propulsion: Propulsion::default(),
             scale: Scale::default(),
             camera: crate::camera::Camera::default(),
+            observer: Observer::default(),
             failsafe: Failsafe::default(),
             autopilot: Autopilot::default(),
         }
@@ -184,6 +187,20 @@ pub enum Rule {
     Drop,
     /// It is sent again in the next interval, unless a newer one has taken its place.
     Queue,
+}
+
+/// The ground station's latent observer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Observer {
+    /// M, pictures from which place and speed are told; 2 is their difference (our choice).
+    pub window: u64,
+}
+
+impl Default for Observer {
+    fn default() -> Self {
+        Self { window: 2 }
+    }
 }
 
 /// The packet link.
@@ -485,6 +502,8 @@ impl Scenario {
         }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
+        let window = self.observer.window as f64;
+        check("observer.window", window, (2.0..=100.0).contains(&window), "must lie in 2..=100")?;
         let horizon = self.horizon as f64;
         check("horizon", horizon, horizon >= 1.0, "must be at least 1")
     }
