@@ -33,6 +33,7 @@
 //! | [`dataset`] | episodes from the simulator's world | networks |
 //! | `train` | the recipe | flights |
 //! | [`evaluate`] | what it is worth on held-out pictures | training |
+//! | [`flown`] | the chance constraints, counted in closed-loop flights | Algorithm 1 |
 //! | [`plot`] | line charts as SVG and PNG | what they show |
 //! | [`policy`] | π_s and π_p, and how they are executed | positions, bandwidth |
 //! | [`crpl`] | J_η on latent rollouts, and its gradient | pictures |
@@ -57,6 +58,7 @@ pub mod dataset;
 pub mod evaluate;
 #[cfg(feature = "train")]
 pub mod fit;
+pub mod flown;
 #[cfg(feature = "train")]
 pub mod gradient;
 pub mod hard;

@@ -1,4 +1,4 @@
-//! `model collect | train | evaluate | optimise`: makes the data, the world model and the policies.
+//! `model collect | train | evaluate | optimise | check`: makes the data, the world model and the policies.
 
 mod ablate_cli;
 mod evaluate_cli;
@@ -37,6 +37,8 @@ enum Command {
     Evaluate(evaluate_cli::Evaluate),
     /// Optimise CRPL's two policies in latent space (Algorithm 1).
     Optimise(optimise_cli::Optimise),
+    /// Fly a policy in closed loop and count how often it keeps each chance constraint.
+    Check(optimise_cli::Check),
 }
 
 #[derive(Debug, clap::Args)]
@@ -93,6 +95,7 @@ fn main() -> ExitCode {
         Command::Hard(args) => ablate_cli::hard(&args),
         Command::Evaluate(args) => evaluate_cli::run(&args),
         Command::Optimise(args) => optimise_cli::run(&args),
+        Command::Check(args) => optimise_cli::check(&args),
     })
 }
 

@@ -67,6 +67,10 @@ pub struct OptimiseConfig {
     pub stage2_rollouts: usize,
     /// Iterations of stage 2.
     pub stage2_iterations: usize,
+    /// Closed-loop flights on which the finished pair is checked before it is kept.
+    pub check_flights: usize,
+    /// Kick of the gusts in those flights, where the scenario has none of its own; units per interval.
+    pub check_kick: f64,
 }
 
 /// Heads of risk and gain in the latent rollout.
@@ -101,6 +105,8 @@ impl Default for OptimiseConfig {
             comparison_rollouts: 65_536,
             stage2_rollouts: 512,
             stage2_iterations: 2500,
+            check_flights: 1000,
+            check_kick: 0.0015,
         }
     }
 }
@@ -169,6 +175,8 @@ impl OptimiseConfig {
             ("barrier_growth - 1", self.barrier_growth - 1.0),
             ("barrier_end", self.barrier_end),
             ("objective.snr_min", self.objective.snr_min),
+            ("check_flights", self.check_flights as f64),
+            ("check_kick", self.check_kick),
         ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(OptimiseError::Range { key, value, must: "must be above 0" });

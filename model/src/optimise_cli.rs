@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use model::crpl::Estimate;
+use model::crpl::{Estimate, Objective};
+use model::flown::{self, Flown};
 use model::optimise::{
     self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
 };
@@ -61,6 +62,8 @@ struct Sheet<'a> {
     revision: String,
     config: &'a OptimiseConfig,
     outcome: &'a Outcome,
+    /// Both constraints as flights measure them.
+    flown: &'a Flown,
 }
 
 /// Runs the subcommand.
@@ -99,9 +102,11 @@ pub fn run(args: &Optimise) -> Result<()> {
     let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
     let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
+    let flown = checked(&world, &policies, &scenario, &config);
+    let kept = if flown.safe.holds() && flown.comm.holds() { name } else { format!("{name}.rejected") };
     write(
         &args.out,
-        &name,
+        &kept,
         &policies,
         &Sheet {
             scenario: &scenario,
@@ -109,6 +114,7 @@ pub fn run(args: &Optimise) -> Result<()> {
             revision: sitl::revision(),
             config: &config,
             outcome: &outcome,
+            flown: &flown,
         },
     )?;
     std::fs::remove_file(&saved).with_context(|| format!("removing {}", saved.display()))?;
@@ -116,7 +122,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     if args.json {
         let iterations = optimise::total_iterations(&config);
         let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,
-            "iterations": iterations, "wall_s": wall_s, "out": args.out});
+            "flown": flown, "iterations": iterations, "wall_s": wall_s, "out": args.out});
         println!("{line:#}");
     } else {
         let o = &outcome;
@@ -125,7 +131,113 @@ pub fn run(args: &Optimise) -> Result<()> {
             o.motion.p_safe, o.motion.p_comm, o.motion.j
         );
         println!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
-        println!("{wall_s:.1} s; {}", args.out.join(format!("{name}.safetensors")).display());
+        print!("{}", in_words(&flown));
+        println!("{wall_s:.1} s; {}", args.out.join(format!("{kept}.safetensors")).display());
+    }
+    refused(&flown)
+}
+
+/// Count how many closed-loop flights of a policy keep each chance constraint.
+#[derive(Debug, clap::Args)]
+pub struct Check {
+    /// The paper's scenario.
+    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: u8,
+    /// A scenario of one's own (TOML), instead of the paper's.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    scenario_file: Option<PathBuf>,
+    /// File with the policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Flights.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+    /// Kick of the gusts where the scenario has none of its own, units per interval.
+    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick)]
+    kick: f64,
+    /// Seed of the first flight.
+    #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
+    first_seed: u64,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// First seed of the flights that check a policy: far from the seeds of sweeps and of training.
+const FIRST_CHECK: u64 = 3_000_000;
+
+/// Runs the subcommand `check`.
+pub fn check(args: &Check) -> Result<()> {
+    let scenario = match &args.scenario_file {
+        Some(path) => Scenario::load(path)?,
+        None => Scenario::numbered(args.scenario)?,
+    };
+    let world = match &args.checkpoint {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    let policies = match (&args.policy, scenario.number()) {
+        (Some(path), _) => Policies::load(path)?,
+        (None, Some(number)) => Policies::shipped(number)?,
+        (None, None) => bail!("--policy is needed: no policies ship for scenario {:?}", scenario.name),
+    };
+    if policies.world != model::checkpoint::fingerprint(&world)? {
+        bail!("the policies were made in another world model; name theirs by --checkpoint");
+    }
+    if !(args.kick > 0.0 && args.kick.is_finite()) {
+        bail!("--kick {}: must be above 0", args.kick);
+    }
+    let scenario = gusty(&scenario, args.kick);
+    let (flights, objective) = (usize::try_from(args.flights)?, Objective::default());
+    let flown = flown::measure(&world, &policies, &scenario, &objective, flights, args.first_seed);
+    if args.json {
+        println!("{}", serde_json::to_string(&flown)?);
+    } else {
+        print!("{}", in_words(&flown));
+    }
+    refused(&flown)
+}
+
+/// The scenario with its own gusts, or with these if it has none.
+fn gusty(scenario: &Scenario, kick: f64) -> Scenario {
+    let mut scenario = scenario.clone();
+    if scenario.disturbance.sigma_c == 0.0 {
+        scenario.disturbance.sigma_c = kick / scenario.disturbance.noise_gain;
+    }
+    scenario
+}
+
+fn checked(world: &WorldModel, policies: &Policies, scenario: &Scenario, config: &OptimiseConfig) -> Flown {
+    let scenario = gusty(scenario, config.check_kick);
+    flown::measure(world, policies, &scenario, &config.objective, config.check_flights, FIRST_CHECK)
+}
+
+fn in_words(flown: &Flown) -> String {
+    let line = |what: &str, kept: &flown::Kept| {
+        format!(
+            "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, kick {}; 1 - delta = {}\n",
+            kept.share, kept.ci[0], kept.ci[1], flown.flights, flown.kick, kept.needed
+        )
+    };
+    line("P_safe", &flown.safe) + &line("P_comm", &flown.comm)
+}
+
+/// An error that names the constraint which flights did not keep.
+fn refused(flown: &Flown) -> Result<()> {
+    for (what, kept) in [("P_safe", &flown.safe), ("P_comm", &flown.comm)] {
+        if !kept.holds() {
+            bail!(
+                "the policy does not ship: {what} measured in {} flights is {:.4} (95 % interval from {:.4}), \
+                 needed {}",
+                flown.flights,
+                kept.share,
+                kept.ci[0],
+                kept.needed
+            );
+        }
     }
     Ok(())
 }

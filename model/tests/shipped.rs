@@ -1,9 +1,12 @@
 //! What the shipped world model promises, on pictures that training never saw.
 
+use model::crpl::Objective;
 use model::dataset::{self, Start};
 use model::evaluate::{self, EvaluationConfig};
+use model::flown;
 use model::heads::{self, HeadsConfig, Scene, Station};
 use model::jepa::{self, Backend};
+use model::policy::Policies;
 use model::world_model::WorldModel;
 use sitl::Scenario;
 use sitl::world::noise::{Noise, Stream};
@@ -172,4 +175,28 @@ fn a_checkpoint_of_the_wrong_shape_is_named() {
     assert!(error.contains("model.safetensors: not a safetensors file"), "{error}");
     let error = WorldModel::load(&dir.path().join("nowhere")).unwrap_err().to_string();
     assert!(error.contains("nowhere/model.safetensors"), "{error}");
+}
+
+#[test]
+fn the_shipped_policies_keep_the_chance_constraints_in_flight() {
+    let world = shipped();
+    for number in [1, 2] {
+        let mut scenario = Scenario::numbered(number).expect("the paper's scenario");
+        scenario.disturbance.sigma_c = 0.005;
+        let policies = Policies::shipped(number).expect("the shipped policies read");
+        let kept = flown::measure(&world, &policies, &scenario, &Objective::default(), 300, 3_100_000);
+        assert!(kept.safe.holds() && kept.comm.holds(), "scenario {number}: {kept:?}");
+    }
+}
+
+#[test]
+fn a_policy_that_saves_power_in_the_shadow_is_caught_by_its_flights() {
+    let (world, scenario) = (shipped(), Scenario::numbered(1).expect("the paper's scenario"));
+    let mut policies = Policies::shipped(1).expect("the shipped policies read");
+    if let Some(last) = policies.power.layers.last_mut() {
+        last.b = vec![100.0, -100.0];
+    }
+    let flown = flown::measure(&world, &policies, &scenario, &Objective::default(), 4, 0);
+    assert!(flown.safe.share == 1.0 && flown.comm.share == 0.0, "{flown:?}");
+    assert!(!flown.comm.holds());
 }
