@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`item`] | a waypoint or another item, and its bytes |
 //! | [`exchange`] | upload, download, clear; lost packets are asked for again |
-//! | [`file`] | QGroundControl's `.plan`, and `QGC WPL 110` text |
+//! | [`mod@file`] | QGroundControl's `.plan`, and `QGC WPL 110` text |
 
 #![expect(deprecated, reason = "vehicles still use what the standard has superseded")]
 

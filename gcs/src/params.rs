@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`value`] | integers and floats in the four bytes of a parameter, both encodings |
 //! | [`exchange`] | list, read, set; lost packets are asked for again |
-//! | [`file`] | `.param` and `.params` files |
+//! | [`mod@file`] | `.param` and `.params` files |
 
 pub mod exchange;
 pub mod file;

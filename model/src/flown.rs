@@ -58,6 +58,8 @@ pub struct Flown {
     pub safe: Kept,
     /// No SNR below γ_min.
     pub comm: Kept,
+    /// Mean terminal distance to the goal, units.
+    pub d_f: f64,
 }
 
 /// Flies `flights` seeds from `first_seed` on, on all cores. The gusts are the scenario's.
@@ -70,20 +72,30 @@ pub fn measure(
     flights: usize,
     first_seed: u64,
 ) -> Flown {
-    let kept: Vec<[bool; 2]> =
+    let ends: Vec<End> =
         (0..flights as u64).into_par_iter().map(|n| fly(world, policies, scenario, first_seed + n)).collect();
-    let count = |which: usize| kept.iter().filter(|k| k[which]).count();
+    let count = |kept: fn(&End) -> bool| ends.iter().filter(|end| kept(end)).count();
     Flown {
         flights,
         first_seed,
         kick: scenario.disturbance.kick(),
-        safe: Kept::of(count(0), flights, objective.collision_tolerance),
-        comm: Kept::of(count(1), flights, objective.outage_tolerance),
+        safe: Kept::of(count(|end| end.clear), flights, objective.collision_tolerance),
+        comm: Kept::of(count(|end| end.connected), flights, objective.outage_tolerance),
+        d_f: ends.iter().map(|end| end.d_f).sum::<f64>() / flights.max(1) as f64,
     }
 }
 
-/// One flight: whether it stayed clear of the obstacle, and whether its SNR stayed above γ_min.
-fn fly(world: &WorldModel, policies: &Policies, scenario: &Scenario, seed: u64) -> [bool; 2] {
+/// What came of one flight.
+struct End {
+    /// It stayed clear of the obstacle.
+    clear: bool,
+    /// Its SNR stayed above γ_min.
+    connected: bool,
+    /// d_f, units.
+    d_f: f64,
+}
+
+fn fly(world: &WorldModel, policies: &Policies, scenario: &Scenario, seed: u64) -> End {
     let mut sim = Sim::new(scenario.clone(), seed);
     let [c, u] = world.motions(scenario.dynamics.v_max, scenario.disturbance.kick());
     let window = scenario.observer.window as usize;
@@ -108,5 +120,5 @@ fn fly(world: &WorldModel, policies: &Policies, scenario: &Scenario, seed: u64) 
         clear &= sim.world().clearance(scenario) >= scenario.safety.d_min;
         connected &= sim.telemetry().link.is_some_and(|link| f64::from(link.snr_db) >= least_db);
     }
-    [clear, connected]
+    End { clear, connected, d_f: (sim.world().uav.r - scenario.goal).norm() }
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use model::crpl::{Estimate, Objective};
+use model::crpl::{Estimate, Limits, Objective};
 use model::flown::{self, Flown};
 use model::optimise::{
     self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
@@ -39,6 +39,10 @@ pub struct Optimise {
     /// Go on with a run that was stopped.
     #[arg(long)]
     resume: bool,
+    /// Optimise once with each of the rollout's limits (plain, clip, walls), print what each is worth, and
+    /// write nothing.
+    #[arg(long, conflicts_with = "resume")]
+    compare_limits: bool,
     /// Print the outcome as JSON.
     #[arg(long)]
     json: bool,
@@ -85,6 +89,9 @@ pub fn run(args: &Optimise) -> Result<()> {
         Some(dir) => WorldModel::load(dir)?,
         None => WorldModel::embedded()?,
     };
+    if args.compare_limits {
+        return compare_limits(&world, &scenario, &config, args);
+    }
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
     let name = scenario.number().map_or("policy".to_owned(), |n| format!("policy_s{n}"));
     let saved = args.out.join(format!("{name}.progress.json"));
@@ -240,6 +247,52 @@ fn refused(flown: &Flown) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Optimises once for each of [`Limits`] and prints what they are worth, in latent rollouts and in flight.
+fn compare_limits(
+    world: &WorldModel,
+    scenario: &Scenario,
+    config: &OptimiseConfig,
+    args: &Optimise,
+) -> Result<()> {
+    if !args.json {
+        println!("limits     J below   J above   margin             P_safe   P_safe flown  d_f flown");
+    }
+    for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
+        let config = OptimiseConfig { limits, ..config.clone() };
+        let stage = Stage::of(world, scenario, &config, args.seed)?;
+        let (policies, outcome) = optimise(&stage, &config, args.seed, None, &mut Quiet)?;
+        let flown = checked(world, &policies, scenario, &config);
+        let c = &outcome.comparison;
+        if args.json {
+            println!("{}", serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown}));
+        } else {
+            println!(
+                "{:<9} {:>8.4}  {:>8.4}  {:+.4} +- {:.4}  {:>8.4}   {:>8.4}      {:.4}",
+                format!("{limits:?}").to_lowercase(),
+                c.below.j,
+                c.above.j,
+                c.margin,
+                c.margin_se,
+                outcome.motion.p_safe,
+                flown.safe.share,
+                flown.d_f
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Shows nothing and saves nothing.
+struct Quiet;
+
+impl Watch for Quiet {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &Estimate, _: f64) {}
+    fn phase_done(&mut self, _: &str, _: &Progress) -> Result<(), OptimiseError> {
+        Ok(())
+    }
+    fn compared(&mut self, _: &Comparison) {}
 }
 
 /// The progress of the same run, `None` if there is none; one of another run is an error.

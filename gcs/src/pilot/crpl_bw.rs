@@ -2,7 +2,7 @@
 //!
 //! π_p is trained at γ_min and sees no bandwidth. Here γ_min rises to the SNR at which an interval
 //! just carries the packet, γ_out = 2^(L/(B Δt)) - 1, and stage 2 is solved anew, exactly: power
-//! moves nothing, so its objective λ_p Σ E[a_p²] - w ln(P_comm - 1 + δ2) falls apart into one choice an
+//! moves nothing, so its objective λ_p Σ E(a_p²) - w ln(P_comm - 1 + δ2) falls apart into one choice an
 //! interval, and with a sharp outage (α → ∞) that choice is a threshold in the predicted gain. No
 //! training run, for any bandwidth, packet and noise power.
 

@@ -9,6 +9,7 @@ use sitl::world::noise::{Noise, Stream};
 use super::intervals::{Interval, bootstrap, of_quantile};
 use super::rollout::{self, Errors, HORIZONS, Known, LONGEST, Name, Row, Start, Trajectory};
 use super::{Judged, decoded, judged};
+use crate::hard::{self, HardRow};
 use crate::heads::{self, Scene, Station, auc, calibration_error};
 use crate::predictors::Predictors;
 use crate::probe::{effective_rank, quantile, r_squared};
@@ -41,6 +42,8 @@ pub struct Report {
     pub actions: ActionsReport,
     /// Effective ranks.
     pub rank: Rank,
+    /// Harder cameras and states.
+    pub hard: Vec<HardRow>,
 }
 
 /// Positions from latents on held-out pictures, l1.
@@ -142,6 +145,7 @@ pub fn measure(
         heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
         actions: actions(model, &trajectories, &known, &noise),
         rank: rank(model, config.frames.min(2000), scenario, &noise),
+        hard: hard::hard_table(model, config.frames.min(2000), scenario, &noise),
     };
     Measured { report, errors }
 }
@@ -305,6 +309,10 @@ impl Report {
         ];
         text.push('\n');
         text.extend(rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")));
+        text.push_str("\nharder cameras and states, p90 in px              z_c      z_u\n");
+        text.extend(
+            self.hard.iter().map(|r| format!("{:<44} {:8.3} {:8.3}\n", r.case, r.z_c_p90_px, r.z_u_p90_px)),
+        );
         text
     }
 }
