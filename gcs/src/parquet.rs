@@ -3,7 +3,7 @@
 //! The `parquet` crate would do more than is needed here, and it turns on a feature of a crate that
 //! burn is built on, so that everything built on burn would have to be compiled once for `-p model`
 //! and once for `--workspace`. The format's document is <https://parquet.apache.org/docs/file-format/>;
-//! the metadata is in Thrift's compact protocol. Held against DuckDB in `tests/tests/parquet.rs`.
+//! the metadata is in Thrift's compact protocol. Held against DuckDB in `tests/tests/sweep.rs`.
 
 use std::io::{self, Write};
 
