@@ -432,16 +432,43 @@ impl Drop for Served {
 }
 
 const PULSE: Duration = Duration::from_millis(2);
+/// Longest step of a vehicle's clock, and how far it runs on after a setpoint, s. Simulators slow down
+/// on a busy machine, too; what a lost station does to a vehicle is told without a wall clock.
+const LONGEST_STEP: f64 = 0.1;
+const AFTER_SETPOINT: f64 = 0.2;
+
+/// The clock of a served vehicle.
+struct Pace {
+    factor: f64,
+    last: Instant,
+    /// The vehicle's time, s.
+    time: f64,
+}
+
+impl Pace {
+    fn new(factor: f64) -> Self {
+        Self { factor, last: Instant::now(), time: 0.0 }
+    }
+
+    /// Goes on by the wall's time since the last call; what the vehicle sends meanwhile.
+    fn advance(&mut self, autopilot: &mut Autopilot) -> Vec<u8> {
+        let passed = self.last.elapsed().as_secs_f64() * self.factor;
+        self.last = Instant::now();
+        let waits = autopilot.setpoint.map_or(f64::INFINITY, |(newest, _)| newest + AFTER_SETPOINT);
+        self.time = (self.time + passed.min(LONGEST_STEP)).min(waits.max(autopilot.time));
+        autopilot.advance(self.time, self.factor)
+    }
+}
 
 fn serve_udp(socket: &UdpSocket, shared: &Mutex<Autopilot>, stop: &AtomicBool, factor: f64) {
-    let (start, mut buffer, mut peer) = (Instant::now(), vec![0; 65_536], None);
+    let (mut pace, mut buffer, mut peer) = (Pace::new(factor), vec![0; 65_536], None);
     while !stop.load(Ordering::Relaxed) {
         let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
         while let Ok((length, from)) = socket.recv_from(&mut buffer) {
             peer = Some(from);
             autopilot.datagram(&buffer[..length]);
         }
-        let out = autopilot.advance(start.elapsed().as_secs_f64() * factor, factor);
+        let out = pace.advance(&mut autopilot);
         drop(autopilot);
         for part in out.chunks(1400) {
             // Frames may be cut between datagrams; stations join them.
@@ -457,7 +484,7 @@ fn serve_tcp(listener: &TcpListener, shared: &Mutex<Autopilot>, stop: &AtomicBoo
     if stream.set_read_timeout(Some(PULSE)).is_err() {
         return;
     }
-    let (start, mut buffer) = (Instant::now(), vec![0; 65_536]);
+    let (mut pace, mut buffer) = (Pace::new(factor), vec![0; 65_536]);
     while !stop.load(Ordering::Relaxed) {
         let read = match stream.read(&mut buffer) {
             Ok(0) => return,
@@ -467,7 +494,7 @@ fn serve_tcp(listener: &TcpListener, shared: &Mutex<Autopilot>, stop: &AtomicBoo
         };
         let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
         autopilot.datagram(&buffer[..read]);
-        let out = autopilot.advance(start.elapsed().as_secs_f64() * factor, factor);
+        let out = pace.advance(&mut autopilot);
         drop(autopilot);
         if stream.write_all(&out).is_err() {
             return;

@@ -58,6 +58,10 @@ const AGAIN: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_secs(90);
 /// How long the vehicle may not say where it is, in wall time.
 const SILENCE: Duration = Duration::from_secs(3);
+/// How far back the vehicle's clock goes only if it has started anew.
+const RESTART: Duration = Duration::from_secs(2);
+/// How far the vehicle may leave the paper's square, in its units: there the camera sees it no more.
+const FENCE: f64 = 0.1;
 /// At the height, m, and at rest, m/s: good enough to begin.
 const NEAR_M: f64 = 0.7;
 const SLOW_MPS: f64 = 0.3;
@@ -107,6 +111,9 @@ enum Phase {
 struct Place {
     position: [f32; 3],
     velocity: [f32; 3],
+    /// When it was said, on the vehicle's own clock.
+    boot: Duration,
+    /// When it came, wall time.
     at: Duration,
 }
 
@@ -133,7 +140,10 @@ pub struct Guide {
     wish: [f64; 2],
     next_beat: Duration,
     next_setpoint: Duration,
-    last_setpoint: Option<Duration>,
+    /// The place that the tracker has seen last, on the vehicle's clock.
+    tracked: Option<Duration>,
+    /// When the next control interval begins, on the vehicle's clock: a simulator that a busy machine
+    /// holds up is waited for.
     next_tick: Duration,
     retry: Option<Duration>,
     asked: Option<MavCmd>,
@@ -165,7 +175,7 @@ impl Guide {
             wish: [0.0; 2],
             next_beat: Duration::ZERO,
             next_setpoint: Duration::ZERO,
-            last_setpoint: None,
+            tracked: None,
             next_tick: Duration::ZERO,
             retry: None,
             asked: None,
@@ -183,8 +193,8 @@ impl Guide {
     #[must_use]
     pub fn due(&self) -> Duration {
         let mut due = self.next_beat.min(self.next_setpoint);
-        if self.phase == Phase::Flying {
-            due = due.min(self.next_tick);
+        if self.phase == Phase::Flying && self.place.is_some_and(|place| place.boot >= self.next_tick) {
+            due = Duration::ZERO;
         }
         [self.commander.due(), self.retry].into_iter().flatten().fold(due, Duration::min)
     }
@@ -206,9 +216,11 @@ impl Guide {
         let fields = packet.fields();
         if packet.is::<LOCAL_POSITION_NED_DATA>() && packet.component == AUTOPILOT {
             let vector = |at| std::array::from_fn(|k| fields.f32(at + 4 * k));
-            let place = Place { position: vector(4), velocity: vector(16), at: now };
+            let boot = Duration::from_millis(fields.u32(0).into());
+            let place = Place { position: vector(4), velocity: vector(16), boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
-            if finite {
+            // What was overtaken on its way is older than what is known.
+            if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
                 self.place = Some(place);
             }
         } else if packet.is::<STATUSTEXT_DATA>()
@@ -437,31 +449,44 @@ impl Guide {
         if near && slow {
             self.enter(Phase::Flying, now);
             self.scene = Some(Scene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
-            self.next_tick = now;
+            self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
             self.events.extend(self.system.map(Event::Held));
             self.tick(place, now);
         }
     }
 
-    /// Begins the control interval that is due.
+    /// Begins the control interval that is due on the vehicle's clock.
     fn tick(&mut self, place: &Place, now: Duration) {
-        let period = self.wall(Duration::from_secs_f64(self.scenario.scale.interval_s));
-        let Some(scene) = self.scene.as_mut().filter(|_| now >= self.next_tick) else { return };
+        if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
+            return self.fail("the vehicle has started anew in flight".into());
+        }
+        let period = self.period();
+        let Some(scene) = self.scene.as_mut().filter(|_| place.boot >= self.next_tick) else { return };
         let ([north, east, _], [vn, ve, _]) = (place.position, place.velocity);
         self.next_tick += period;
-        while now >= self.next_tick {
+        while place.boot >= self.next_tick {
             scene.skip();
             self.next_tick += period;
         }
         let percept = scene.percept([north, east], [vn, ve]);
-        if scene.tick().0 >= self.ticks {
+        let (outside, over) = (scene.outside(), scene.tick().0 >= self.ticks);
+        if outside > FENCE {
+            let metres = outside * self.scenario.scale.metres_per_unit;
+            self.say(format!("{metres:.0} m outside the field, out of the camera's sight: it is stopped"));
+        }
+        if outside > FENCE || over {
             self.wish = [0.0; 2];
             self.enter(Phase::Braking, now);
             self.events.push_back(Event::Over(percept));
         } else {
             self.events.push_back(Event::Percept(percept));
         }
+    }
+
+    /// A control interval on the vehicle's clock.
+    fn period(&self) -> Duration {
+        Duration::from_secs_f64(self.scenario.scale.interval_s)
     }
 
     /// The station's answer to the newest percept; the datagram that brings it.
@@ -517,8 +542,8 @@ impl Guide {
                 MASK_POSITION
             }
             Phase::Flying | Phase::Braking => {
-                let since = self.last_setpoint.replace(now).map_or(Duration::ZERO, |last| now - last);
-                let dt = since.as_secs_f64() * self.foreign.speedup;
+                let last = self.tracked.replace(place.boot).unwrap_or(place.boot);
+                let dt = place.boot.saturating_sub(last).as_secs_f64();
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);
                 let [north, east] = self.tracker.step(self.wish, velocity, dt);
                 let (z, vz) = (f64::from(place.position[2]), f64::from(place.velocity[2]));

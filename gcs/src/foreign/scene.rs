@@ -61,6 +61,13 @@ impl Scene {
         Percept { telemetry, frame: camera::picture(&self.world, &self.scenario).into() }
     }
 
+    /// How far outside the paper's square the vehicle is, units; negative inside.
+    #[must_use]
+    pub fn outside(&self) -> f64 {
+        let r = self.world.uav.r;
+        [-r.x, r.x - 1.0, -r.y, r.y - 1.0].into_iter().fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// A control interval passes with this command, or with an older one if the radio does not carry
     /// it; gives the acceleration to be flown, north, east, m/s².
     pub fn pass(&mut self, command: &Command) -> [f64; 2] {
