@@ -163,6 +163,12 @@ impl Program {
         format!("{} {what}\nstdout:\n{stdout}\nstderr:\n{stderr}", self.name)
     }
 
+    /// All that it has printed and logged so far.
+    #[must_use]
+    pub fn so_far(&self) -> String {
+        self.stdout.text() + "\n" + &self.stderr.text()
+    }
+
     /// Closes the program's stdin, which ends one that converses.
     pub fn hang_up(&mut self) {
         drop(self.child.stdin.take());
