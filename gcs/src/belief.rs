@@ -62,10 +62,10 @@ impl Belief {
 
     /// Takes in a picture and the report that came with it.
     pub fn observe(&mut self, world: &WorldModel, telemetry: &Telemetry, frame: &Frame) {
-        let latent = world.encode(frame);
+        let [c, u] = world.see(frame);
         let flown = self.flown(telemetry);
-        self.controllable.observe(vector(world.y_c(&latent)), &flown);
-        self.uncontrollable.observe(vector(world.y_u(&latent)), &vec![Vector2::zeros(); flown.len()]);
+        self.controllable.observe(c, &flown);
+        self.uncontrollable.observe(u, &vec![Vector2::zeros(); flown.len()]);
         let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
         if let (Some(c), Some(u)) = (self.controllable.estimate(), self.uncontrollable.estimate()) {
             self.latents = Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u: narrow(u.y) };

@@ -41,7 +41,7 @@ pub const CHANGES: [Change; 20] = [
     Change { name: "Kaiming weights, not triangles", apply: |c| c.stages.init = Init::Kaiming },
     Change { name: "mix 0.3", apply: |c| c.encoder.mix = 0.3 },
     Change { name: "mix 0.1", apply: |c| c.encoder.mix = 0.1 },
-    Change { name: "mix 0", apply: |c| c.encoder.mix = 0.0 },
+    Change { name: "mix 0.03", apply: |c| c.encoder.mix = 0.03 },
     Change {
         name: "moments, no division by the own mass",
         apply: |c| (c.encoder.normalise, c.encoder.gated) = ([false; 2], false),

@@ -110,7 +110,7 @@ pub struct EncoderConfig {
 
 impl Default for EncoderConfig {
     fn default() -> Self {
-        Self { mix: 0.03, normalise: [true, true], gated: true, scale: 10.0, colour: None }
+        Self { mix: 0.0, normalise: [true, true], gated: true, scale: 10.0, colour: None }
     }
 }
 
@@ -183,6 +183,11 @@ impl TrainConfig {
         self.predictor.episodes = self.predictor.episodes.min(30);
         self.heads.frames = self.heads.frames.min(3000);
         self.heads.steps = self.heads.steps.min(600);
+        for steps in
+            [&mut self.networks.short_steps, &mut self.networks.mlp_steps, &mut self.networks.lstm_steps]
+        {
+            *steps = (*steps).min(100);
+        }
         self.evaluation.frames = self.evaluation.frames.min(1000);
         self.evaluation.rollouts = self.evaluation.rollouts.min(100);
         if let Some(gradient) = &mut self.stages.gradient {
@@ -250,7 +255,8 @@ impl TrainConfig {
             ("closed_form.floor_u", self.closed_form.floor_u),
             ("closed_form.keep", self.closed_form.keep),
             ("predictor.ridge", self.predictor.ridge),
-            ("networks.learning_rate", self.networks.learning_rate),
+            ("networks.mlp_rate", self.networks.mlp_rate),
+            ("networks.lstm_rate", self.networks.lstm_rate),
             ("heads.learning_rate", self.heads.learning_rate),
             ("heads.distance_floor", self.heads.distance_floor),
         ];

@@ -59,13 +59,15 @@ impl Setting<'_> {
     /// A progress bar of `length` steps.
     #[must_use]
     pub fn bar(&self, name: &'static str, length: usize) -> ProgressBar {
-        if !self.bars {
-            return ProgressBar::hidden();
-        }
-        let style = ProgressStyle::with_template("{prefix:>10} {bar:40} {pos}/{len} {eta} left  {msg}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
-        ProgressBar::new(length as u64).with_style(style).with_prefix(name)
+        if self.bars { bar(name, length) } else { ProgressBar::hidden() }
     }
+}
+
+/// A progress bar of `length` steps.
+pub(crate) fn bar(name: &'static str, length: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{prefix:>10} {bar:40} {pos}/{len} {eta} left  {msg}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(length as u64).with_style(style).with_prefix(name)
 }
 
 /// The triples of both sets: long and short lags.

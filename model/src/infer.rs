@@ -82,7 +82,13 @@ impl Encoder {
     /// The latents of one picture.
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
-        let Features { h, missing } = self.features(frame);
+        self.read(self.features(frame))
+    }
+
+    /// The latents that the heads read from a picture's features.
+    #[must_use]
+    pub fn read(&self, features: Features) -> Latent {
+        let Features { h, missing } = features;
         let mut x = h;
         let z_u = read(&self.head_u, &x);
         if self.head_c.inputs == 2 * FEATURES {

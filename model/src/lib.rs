@@ -17,7 +17,7 @@
 //! | [`closed_form`] | the latent heads by least squares | labels |
 //! | [`predictor`] | linear second-order steps of both halves | pictures, positions |
 //! | [`predictors`] | the MLP and the LSTM that it is compared with | pictures, positions |
-//! | `predictors_fit` | their training in burn | positions, heads |
+//! | `predictors_fit`, `predictors_back` | their training, and its gradient by hand | positions, heads |
 //! | [`observer`] | place and speed from several latents and the actions flown | pictures, positions |
 //! | [`heads`] | collision probability and channel gain: labels, measures | networks |
 //! | [`heads_at`] | the heads' networks, and what they are for one base station | labels |
@@ -41,7 +41,7 @@
 //! | [`checkpoint`] | files, names and shapes | numbers |
 //! | [`mlp`], [`kernel`] | small networks and inner loops | what they are for |
 //!
-//! `jepa`, `heads_fit`, `predictors_fit`, `gradient`, `losses`, `fit`, `kept`, `ablate` and `train` need burn: they come
+//! `jepa`, `heads_fit`, `gradient`, `losses`, `fit`, `kept`, `ablate` and `train` need burn: they come
 //! with the cargo feature `train`, which the `model` program has and a ground station does without.
 
 #![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
@@ -82,7 +82,7 @@ pub mod plot;
 pub mod policy;
 pub mod predictor;
 pub mod predictors;
-#[cfg(feature = "train")]
+mod predictors_back;
 pub mod predictors_fit;
 pub mod probe;
 pub mod stages;

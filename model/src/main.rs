@@ -12,7 +12,9 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use model::config::TrainConfig;
 use model::jepa::Backend;
+use model::predictors_fit;
 use model::train::{self, Run};
+use model::world_model::WorldModel;
 use sitl::Scenario;
 
 /// The world model of CRPL: its data, its training.
@@ -29,6 +31,8 @@ enum Command {
     Collect(Collect),
     /// Train the world model and write its checkpoint.
     Train(Train),
+    /// Train the MLP and the LSTM anew that the linear predictor is compared with.
+    Predictors(NetworksOf),
     /// Train with one ingredient changed, row by row, and print what it costs.
     Ablate(ablate_cli::Ablate),
     /// Print where encoders break: errors on harder cameras and in harder states.
@@ -82,6 +86,22 @@ struct Train {
     json: bool,
 }
 
+#[derive(Debug, clap::Args)]
+struct NetworksOf {
+    /// Folder of the world model on whose latents they learn; without it the shipped one.
+    #[arg(long)]
+    checkpoint: Option<PathBuf>,
+    /// What differs from the defaults (TOML); `networks` is read.
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Seed; overrides the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Folder for the networks and their learning curves.
+    #[arg(long)]
+    out: PathBuf,
+}
+
 fn main() -> ExitCode {
     let args = match Args::try_parse() {
         Ok(args) => args,
@@ -91,6 +111,7 @@ fn main() -> ExitCode {
     sitl::cli::outcome(match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
+        Command::Predictors(args) => networks(&args),
         Command::Ablate(args) => ablate_cli::ablate(&args),
         Command::Hard(args) => ablate_cli::hard(&args),
         Command::Evaluate(args) => evaluate_cli::run(&args),
@@ -141,6 +162,26 @@ fn run(args: &Train) -> anyhow::Result<()> {
             println!("made by --quick: these are not the figures of the full recipe");
         }
     }
+    Ok(())
+}
+
+fn networks(args: &NetworksOf) -> anyhow::Result<()> {
+    let config = resolve(args.config.as_ref(), args.seed)?;
+    config.check()?;
+    let model = match &args.checkpoint {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
+    let started = Instant::now();
+    let trained = train::networks(&config, &model)?;
+    predictors_fit::publish(&trained, &args.out)?;
+    for (name, curve) in ["MLP", "LSTM"].iter().zip(&trained.curves) {
+        let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
+        let px = |p: Option<&predictors_fit::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
+        println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
+    }
+    println!("{:.1} s; in {}", started.elapsed().as_secs_f64(), args.out.display());
     Ok(())
 }
 

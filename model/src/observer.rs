@@ -23,6 +23,35 @@ use crate::predictor::Reduced;
 /// error of 0.065 px at the 90th percentile is this).
 pub const PICTURE_NOISE: f64 = 3e-4;
 
+/// Missing share of the UAV's colour beyond which the frame's edge cuts its disc; below, the pixels'
+/// rounding.
+const WHOLE: f32 = 2e-3;
+
+/// How many times further off such a picture is, and a row of them is off alike.
+const CUT: f64 = 4.0;
+
+/// Standard deviation of the UAV's coordinates in units of [`PICTURE_NOISE`], from the missing share q of
+/// its colour: a whole disc says more than one that the frame's edge cuts.
+#[must_use]
+pub fn doubt(missing: f32) -> f64 {
+    if missing.abs() > WHOLE { CUT } else { 1.0 }
+}
+
+/// What a picture shows of one half.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// y
+    pub y: Vector2<f64>,
+    /// Its standard deviation in units of [`PICTURE_NOISE`].
+    pub doubt: f64,
+}
+
+impl From<Vector2<f64>> for Seen {
+    fn from(y: Vector2<f64>) -> Self {
+        Self { y, doubt: 1.0 }
+    }
+}
+
 /// Squared Mahalanobis distance beyond which a picture is poor: four standard deviations.
 const POOR: f64 = 16.0;
 
@@ -130,7 +159,7 @@ struct Interval {
     /// Normalised acceleration that was flown in it.
     flown: Vector2<f64>,
     /// What the picture shows, if it arrived.
-    seen: Option<Vector2<f64>>,
+    seen: Option<Seen>,
 }
 
 /// The window of one half.
@@ -148,16 +177,16 @@ impl Observer {
         Self { motion, window: window.max(2), last: VecDeque::new() }
     }
 
-    /// A picture shows `y`; `flown` are the normalised accelerations of the intervals since the last
+    /// A picture has come; `flown` are the normalised accelerations of the intervals since the last
     /// picture, oldest first: one, or more where pictures are missing.
-    pub fn observe(&mut self, y: Vector2<f64>, flown: &[Vector2<f64>]) {
+    pub fn observe(&mut self, seen: impl Into<Seen>, flown: &[Vector2<f64>]) {
         let (newest, missing) = flown.split_last().map_or((Vector2::zeros(), flown), |(a, rest)| (*a, rest));
         if missing.len() >= LONGEST_GAP {
             self.last.clear();
         } else {
             self.last.extend(missing.iter().map(|a| Interval { flown: *a, seen: None }));
         }
-        self.last.push_back(Interval { flown: newest, seen: Some(y) });
+        self.last.push_back(Interval { flown: newest, seen: Some(seen.into()) });
         while self.last.iter().filter(|i| i.seen.is_some()).count() > self.window {
             self.last.pop_front();
         }
@@ -167,23 +196,23 @@ impl Observer {
     #[must_use]
     pub fn estimate(&self) -> Option<Estimate> {
         // Two pictures and no more are their difference, to the last bit.
-        if let (2, [.., Interval { seen: Some(before), .. }, Interval { seen: Some(y), .. }]) =
+        if let (2, [.., Interval { seen: Some(before), .. }, Interval { seen: Some(now), .. }]) =
             (self.window, self.last.iter().copied().collect::<Vec<_>>().as_slice())
         {
-            return Some(Estimate { y: *y, v: y - before });
+            return Some(Estimate { y: now.y, v: now.y - before.y });
         }
         let mut filter: Option<Filter> = None;
-        let mut before: Option<(usize, Vector2<f64>)> = None;
+        let mut before: Option<(usize, Seen)> = None;
         for (k, interval) in self.last.iter().enumerate() {
             if let Some(filter) = &mut filter {
                 filter.predict(&self.motion, interval.flown);
             }
-            let Some(y) = interval.seen else { continue };
-            let fits = filter.as_mut().is_some_and(|f| f.update(y, self.motion.noise));
+            let Some(seen) = interval.seen else { continue };
+            let fits = filter.as_mut().is_some_and(|f| f.update(seen.y, self.noise(seen)));
             if !fits {
-                filter = Some(self.anew(before, k, y));
+                filter = Some(self.anew(before, k, seen));
             }
-            before = Some((k, y));
+            before = Some((k, seen));
         }
         let Estimate { y, v } = filter?.estimate();
         // No encoded step faster than v_max is real.
@@ -191,15 +220,20 @@ impl Observer {
         Some(Estimate { y, v })
     }
 
-    /// A filter that knows the picture `y` of interval `k` and the one before it.
-    fn anew(&self, before: Option<(usize, Vector2<f64>)>, k: usize, y: Vector2<f64>) -> Filter {
-        let Some((since, y_before)) = before else { return Filter::at(y, self.motion.noise) };
-        let mut filter = Filter::at(y_before, self.motion.noise);
+    /// A filter that knows the picture of interval `k` and the one before it.
+    fn anew(&self, before: Option<(usize, Seen)>, k: usize, seen: Seen) -> Filter {
+        let Some((since, first)) = before else { return Filter::at(seen.y, self.noise(seen)) };
+        let mut filter = Filter::at(first.y, self.noise(first));
         for interval in self.last.range(since + 1..=k) {
             filter.predict(&self.motion, interval.flown);
         }
-        filter.correct(y, self.motion.noise);
+        filter.correct(seen.y, self.noise(seen));
         filter
+    }
+
+    /// Standard deviation of a picture's coordinate, latent units.
+    fn noise(&self, seen: Seen) -> f64 {
+        self.motion.noise * seen.doubt
     }
 }
 

@@ -4,7 +4,7 @@
 //! The warm start tries both ways round the obstacle, each from an easier problem, and keeps the
 //! better on common random rollouts. Knows latents alone: no position, no simulator.
 
-mod adam;
+pub(crate) mod adam;
 mod power;
 mod receding;
 mod stage;

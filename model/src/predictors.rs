@@ -44,10 +44,12 @@ pub struct NetworksConfig {
     pub mlp_steps: usize,
     /// The same, the LSTM.
     pub lstm_steps: usize,
-    /// Rollouts a step.
+    /// Rollouts a step; rounded up to whole lanes of 32.
     pub batch: usize,
-    /// Learning rate at the start; falls to 1 % of it as a cosine.
-    pub learning_rate: f64,
+    /// Learning rate at the start of either kind of steps, the MLP; falls to 1 % of it as a cosine.
+    pub mlp_rate: f64,
+    /// The same, the LSTM.
+    pub lstm_rate: f64,
 }
 
 impl Default for NetworksConfig {
@@ -56,11 +58,12 @@ impl Default for NetworksConfig {
             episodes: 400,
             held_out: 96,
             hidden: 64,
-            short_steps: 3000,
-            mlp_steps: 300,
-            lstm_steps: 300,
-            batch: 64,
-            learning_rate: 3e-3,
+            short_steps: 300,
+            mlp_steps: 5000,
+            lstm_steps: 5000,
+            batch: 32,
+            mlp_rate: 1.5e-2,
+            lstm_rate: 6e-3,
         }
     }
 }
@@ -79,7 +82,7 @@ pub struct Scaling {
 /// A network that tells the bend of the path.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cell {
-    /// Tanh layers, no memory.
+    /// SiLU layers (x σ(x), of which two make a straight line), no memory.
     Mlp(Mlp),
     /// One LSTM layer and a linear output.
     Lstm(Lstm),
@@ -168,7 +171,7 @@ fn step(cell: &Cell, x: &[Lane; INPUTS], memory: &mut [Vec<Lane>; 2]) -> [Lane; 
                 let mut y = vec![ZERO; layer.outputs];
                 kernel::affine(&layer.w, &layer.b, &x, &mut y);
                 if n + 1 < mlp.layers.len() {
-                    y.as_flattened_mut().iter_mut().for_each(|v| *v = kernel::tanh(*v));
+                    y.as_flattened_mut().iter_mut().for_each(|v| *v *= kernel::sigmoid(*v));
                 }
                 x = y;
             }

@@ -1,4 +1,4 @@
-//! Training of the MLP and LSTM predictors in burn: first rollouts of 4 steps from anywhere, which are
+//! Training of the MLP and LSTM predictors: first rollouts of 4 steps from anywhere, which are
 //! cheap, then rollouts from rest that grow to the whole horizon; both are compared with the latents of
 //! the pictures along them.
 //!
@@ -6,25 +6,21 @@
 
 use std::path::Path;
 
-use burn::grad_clipping::GradientClippingConfig;
-use burn::module::Module;
-use burn::nn::{Initializer, Linear, LinearConfig};
-use burn::optim::{AdamConfig, GradientsParams};
-use burn::tensor::activation::{sigmoid, tanh};
-use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector2;
-use rand::RngExt;
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
 use sitl::Scenario;
 use sitl::camera::SIDE;
 use sitl::world::noise::{Noise, Stream};
 
 use crate::checkpoint::{self, CheckpointError, Reader, Writer};
 use crate::dataset::{self, Start};
-use crate::heads_fit::{dense, linear};
-use crate::jepa::values;
-use crate::mlp::Mlp;
+use crate::kernel::{LANES, Lane, ZERO};
+use crate::mlp::{Dense, Mlp};
+use crate::optimise::adam::Adam;
 use crate::plot::{self, Chart, PlotError, Series};
 use crate::predictors::{Begin, Cell, INPUTS, Lstm, NetworksConfig, Predictor, Predictors, Scaling};
+use crate::predictors_back::{self, Block};
 use crate::probe::quantile;
 use crate::weights::vector;
 use crate::world_model::WorldModel;
@@ -67,7 +63,6 @@ pub fn train(
     model: &WorldModel,
     config: &NetworksConfig,
     steps: usize,
-    device: &Device,
     scenario: &Scenario,
     noise: &Noise,
     tick: impl Fn() + Sync,
@@ -78,7 +73,7 @@ pub fn train(
     let px = SIDE as f64 / model.scale;
     let fit = |kind: usize| {
         let fit = Fit { data: &data, held_out: &held_out, scaling, config, px, kind };
-        fit.run(device, noise, &tick)
+        fit.run(noise, &tick)
     };
     let ((mlp, mlp_curve), (lstm, lstm_curve)) = rayon::join(|| fit(0), || fit(1));
     let world = checkpoint::fingerprint(model)?;
@@ -119,39 +114,6 @@ fn scaling(data: &Data) -> Scaling {
     }
 }
 
-/// Either network: with `gates` it is an LSTM.
-#[derive(Module, Debug)]
-struct Network {
-    hidden: Vec<Linear>,
-    gates: Option<Linear>,
-    out: Linear,
-}
-
-impl Network {
-    /// x [batch, 6] and (h, c) [batch, n] -> [batch, 2] and the next (h, c).
-    fn step(&self, x: Tensor<2>, memory: [Tensor<2>; 2]) -> (Tensor<2>, [Tensor<2>; 2]) {
-        let Some(gates) = &self.gates else {
-            let h = self.hidden.iter().fold(x, |x, layer| tanh(layer.forward(x)));
-            return (self.out.forward(h), memory);
-        };
-        let [h, c] = memory;
-        let n = c.dims()[1];
-        let gates = gates.forward(Tensor::cat(vec![x, h], 1)); // [batch, 4 n]: i, f, g, o
-        let gate = |k: usize| gates.clone().narrow(1, k * n, n);
-        let c = sigmoid(gate(1)) * c + sigmoid(gate(0)) * tanh(gate(2));
-        let h = sigmoid(gate(3)) * tanh(c.clone());
-        (self.out.forward(h.clone()), [h, c])
-    }
-
-    fn cell(&self) -> Cell {
-        let out = dense(&self.out);
-        match &self.gates {
-            Some(gates) => Cell::Lstm(Lstm { gates: dense(gates), out }),
-            None => Cell::Mlp(Mlp { layers: self.hidden.iter().map(dense).chain([out]).collect() }),
-        }
-    }
-}
-
 /// One network's training.
 struct Fit<'a> {
     data: &'a Data,
@@ -165,22 +127,23 @@ struct Fit<'a> {
 }
 
 impl Fit<'_> {
-    fn run(&self, device: &Device, noise: &Noise, tick: &(impl Fn() + Sync)) -> (Predictor, Vec<Point>) {
-        let device = device.clone().autodiff();
+    fn run(&self, noise: &Noise, tick: &(impl Fn() + Sync)) -> (Predictor, Vec<Point>) {
         let mut rng = noise.generator(Stream::Batches, 200 + self.kind as u64);
         let n = self.config.hidden;
         let recurrent = self.kind == 1;
-        let hidden = if recurrent { vec![] } else { vec![INPUTS, n] };
-        let mut network = Network {
-            hidden: hidden.into_iter().map(|inputs| linear(inputs, n, &device, &mut rng)).collect(),
-            gates: recurrent.then(|| linear(INPUTS + n, 4 * n, &device, &mut rng)),
-            // Zeros: it begins as constant velocity.
-            out: LinearConfig::new(n, 2).with_initializer(Initializer::Zeros).init(&device),
+        // Zeros last: it begins as constant velocity.
+        let like = if recurrent {
+            let gates = random(INPUTS + n, 4 * n, &mut rng);
+            Cell::Lstm(Lstm { gates, out: Dense::zeros(n, 2) })
+        } else {
+            let layers = vec![random(INPUTS, n, &mut rng), random(n, n, &mut rng), Dense::zeros(n, 2)];
+            Cell::Mlp(Mlp { layers })
         };
-        let clip = GradientClippingConfig::Norm(0.1);
-        let mut optimiser = AdamConfig::new().with_epsilon(1e-8).with_grad_clipping(Some(clip)).init();
-        let NetworksConfig { short_steps, mlp_steps, lstm_steps, batch, learning_rate, .. } = *self.config;
-        let long_steps = if recurrent { lstm_steps } else { mlp_steps };
+        let mut predictor = Predictor { cell: like, scaling: self.scaling };
+        let mut net = predictors_back::layers(&predictor.cell);
+        let mut adam = Adam::new(&net, 0.0, CLIP);
+        let NetworksConfig { short_steps, mlp_steps, lstm_steps, mlp_rate, lstm_rate, .. } = *self.config;
+        let (long_steps, rate) = if recurrent { (lstm_steps, lstm_rate) } else { (mlp_steps, mlp_rate) };
         let steps = short_steps + long_steps;
         let longest = self.data.actions.first().map_or(1, Vec::len);
         let mut curve = Vec::new();
@@ -190,62 +153,69 @@ impl Fit<'_> {
             let share = done as f64 / of as f64;
             let grown = (SHORT as f64 + longest as f64 * share / GROWTH) as usize;
             let horizon = if long { grown } else { SHORT }.min(longest);
-            let picks: Vec<(usize, usize)> = (0..batch)
-                .map(|_| {
-                    let first = if long { 0 } else { rng.random_range(0..=longest - horizon) };
-                    (rng.random_range(0..self.data.y.len()), first)
-                })
-                .collect();
-            let loss = self.loss(&network, &picks, horizon, &device);
-            let told = (step + 1).is_multiple_of((steps / 100).max(1)) || step + 1 == steps;
-            let value = if told { values(loss.clone())[0] } else { 0.0 };
-            let gradients = GradientsParams::from_grads(loss.backward(), &network);
+            let (loss, grad) = self.gradient(&predictor, horizon, !long, &mut rng);
             let fall = 0.01 + 0.99 * 0.5 * (1.0 + (share * std::f64::consts::PI).cos());
-            let rate = if long { LONG_RATE * learning_rate } else { learning_rate };
-            network = optimiser.step(rate * fall, network, gradients);
-            if told {
-                let held_out_px = self.judge(&Predictor { cell: network.cell(), scaling: self.scaling });
-                curve.push(Point { step: step + 1, horizon, loss: f64::from(value), held_out_px });
+            adam.set_rate((rate * fall) as f32);
+            adam.descend(&mut net, &grad);
+            predictor.cell = predictors_back::with_layers(&predictor.cell, &net);
+            if (step + 1).is_multiple_of((steps / 100).max(1)) || step + 1 == steps {
+                let held_out_px = self.judge(&predictor);
+                curve.push(Point { step: step + 1, horizon, loss, held_out_px });
             }
             tick();
         }
-        (Predictor { cell: network.cell(), scaling: self.scaling }, curve)
+        (predictor, curve)
     }
 
     /// Mean square distance of rollouts, each from a frame of an episode, to the pictures' latents, in
-    /// units of `scaling.place`; step k weighs 1/k². At frame 0 the UAV rests.
-    fn loss(
+    /// units of `scaling.place`; step k weighs 1/k². At frame 0 the UAV rests. And its gradient.
+    fn gradient(
         &self,
-        network: &Network,
-        picks: &[(usize, usize)],
+        predictor: &Predictor,
         horizon: usize,
-        device: &Device,
-    ) -> Tensor<1> {
-        let rows = |of: &dyn Fn(usize, usize) -> Vector2<f64>| {
-            let flat: Vec<f32> =
-                picks.iter().map(|&(n, first)| of(n, first)).flat_map(|v| [v.x as f32, v.y as f32]).collect();
-            Tensor::<2>::from_data(TensorData::new(flat, [picks.len(), 2]), device)
+        anywhere: bool,
+        rng: &mut impl Rng,
+    ) -> (f64, Mlp) {
+        let longest = self.data.actions.first().map_or(1, Vec::len);
+        let mut pick = |_| {
+            let first = if anywhere { rng.random_range(0..=longest - horizon) } else { 0 };
+            (rng.random_range(0..self.data.y.len()), first)
         };
-        let Scaling { place, step, bend } = self.scaling;
-        let blank = Tensor::<2>::zeros([picks.len(), self.config.hidden], device);
-        let mut memory = [blank.clone(), blank];
-        let mut now = rows(&|n, first| self.data.y[n][first]);
-        let mut before = rows(&|n, first| self.data.y[n][first.saturating_sub(1)]);
-        let mut errors = Vec::with_capacity(horizon);
-        let weights: Vec<f64> = (1..=horizon).map(|k| 1.0 / (k * k) as f64).collect();
-        let whole: f64 = weights.iter().sum();
-        for k in 0..horizon {
-            let velocity = now.clone() - before;
-            let a = rows(&|n, first| self.data.actions[n][first + k]);
-            let x = Tensor::cat(vec![now.clone() / place, velocity.clone() / step, a], 1);
-            let (out, kept) = network.step(x, memory);
-            memory = kept;
-            before = now.clone();
-            now = now + velocity + out * bend;
-            let off = (now.clone() - rows(&|n, first| self.data.y[n][first + k + 1])) / place;
-            errors.push(off * (weights[k] / whole).sqrt());
+        let count = self.config.batch.div_ceil(LANES);
+        let blocks: Vec<Block> =
+            (0..count).map(|_| self.block(&std::array::from_fn(&mut pick), horizon)).collect();
+        let whole: f32 = (1..=horizon).map(|k| 1.0 / (k * k) as f32).sum();
+        let weights: Vec<f32> = (1..=horizon).map(|k| 1.0 / (k * k) as f32 / whole).collect();
+        let parts: Vec<(f64, Mlp)> =
+            blocks.par_iter().map(|block| predictors_back::loss(predictor, block, &weights)).collect();
+        let share = 1.0 / count as f32;
+        let mut grad = predictors_back::layers(&predictor.cell);
+        grad.layers.iter_mut().flat_map(|l| l.w.iter_mut().chain(&mut l.b)).for_each(|g| *g = 0.0);
+        for (_, part) in &parts {
+            for (sum, part) in grad.layers.iter_mut().zip(&part.layers) {
+                let pairs = sum.w.iter_mut().chain(&mut sum.b).zip(part.w.iter().chain(&part.b));
+                pairs.for_each(|(sum, part)| *sum = part.mul_add(share, *sum));
+            }
         }
-        Tensor::cat(errors, 1).square().sum_dim(1).mean()
+        (parts.iter().map(|(loss, _)| loss).sum::<f64>() / count as f64, grad)
+    }
+
+    /// Rollouts from these frames of these episodes.
+    fn block(&self, picks: &[(usize, usize); LANES], horizon: usize) -> Block {
+        let lanes = |of: &dyn Fn(usize, usize) -> Vector2<f64>| -> [Lane; 2] {
+            let mut out = [ZERO; 2];
+            for (l, &(n, first)) in picks.iter().enumerate() {
+                let v = of(n, first);
+                (out[0][l], out[1][l]) = (v.x as f32, v.y as f32);
+            }
+            out
+        };
+        let Data { y, actions } = self.data;
+        Block {
+            begin: [lanes(&|n, first| y[n][first]), lanes(&|n, first| y[n][first.saturating_sub(1)])],
+            actions: (0..horizon).map(|k| lanes(&|n, first| actions[n][first + k])).collect(),
+            shown: (0..horizon).map(|k| lanes(&|n, first| y[n][first + k + 1])).collect(),
+        }
     }
 
     /// Held-out rollouts over the whole horizon, 90 % quantile at the end, px.
@@ -261,11 +231,19 @@ impl Fit<'_> {
     }
 }
 
+/// A layer as PyTorch starts it: U(±1/sqrt(inputs)).
+fn random(inputs: usize, outputs: usize, rng: &mut impl Rng) -> Dense {
+    let bound = 1.0 / (inputs as f32).sqrt();
+    let mut dense = Dense::zeros(inputs, outputs);
+    dense.w.iter_mut().chain(&mut dense.b).for_each(|w| *w = rng.random_range(-bound..bound));
+    dense
+}
+
+/// Bound of the gradient's norm.
+const CLIP: f32 = 0.1;
+
 /// Length of the rollouts of the short steps, intervals.
 const SHORT: usize = 4;
-
-/// Learning rate of the long steps, relative to that of the short ones.
-const LONG_RATE: f64 = 0.3;
 
 /// Share of the long steps after which rollouts have their whole length.
 const GROWTH: f64 = 0.4;

@@ -28,7 +28,8 @@ use crate::lens::Lenses;
 use crate::mlp::Mlp;
 use crate::plot::PlotError;
 use crate::predictor::Linear;
-use crate::predictors_fit;
+use crate::predictors::NetworksConfig;
+use crate::predictors_fit::{self, Trained};
 use crate::probe::Probe;
 use crate::stages::Init;
 use crate::weights::{self, Colour, Input, Weights};
@@ -162,13 +163,8 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
     model.save(&dir)?;
     if alarms.is_empty() {
         // What the linear predictor is compared with.
-        let networks = &config.networks;
-        let bar =
-            setting.bar("networks", 2 * networks.short_steps + networks.mlp_steps + networks.lstm_steps);
-        let steps = config.data.steps;
         let trained =
-            predictors_fit::train(&model, networks, steps, &device, &scenario, &noise, || bar.inc(1))?;
-        bar.finish();
+            kept.keep("networks", predictors_fit::load, || networks(config, &model), predictors_fit::save)?;
         predictors_fit::publish(&trained, &dir)?;
     }
     let (wall, cpu) = (started.elapsed().as_secs_f64(), cpu_seconds() - cpu_before);
@@ -180,6 +176,17 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
     }
     kept.remove()?;
     Ok((model, figures))
+}
+
+/// The MLP and the LSTM on the latents of `model`, with a progress bar.
+pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, TrainError> {
+    let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
+    let NetworksConfig { short_steps, mlp_steps, lstm_steps, .. } = config.networks;
+    let bar = fit::bar("networks", 2 * short_steps + mlp_steps + lstm_steps);
+    let (networks, steps) = (&config.networks, config.data.steps);
+    let trained = predictors_fit::train(model, networks, steps, &scenario, &noise, || bar.inc(1))?;
+    bar.finish();
+    Ok(trained)
 }
 
 /// An encoder with predictors and probe and without risk and channel heads, and its alarms' figures:

@@ -15,7 +15,7 @@ use crate::evaluate::Metrics;
 pub use crate::heads_at::{Heads, HeadsAt};
 use crate::infer::Encoder;
 pub use crate::infer::Latent;
-use crate::observer::Motion;
+use crate::observer::{self, Motion, Seen};
 use crate::predictor::{Linear, Plane, Reduced};
 pub use crate::probe::{Affine, Probe};
 use crate::weights::{LATENT, on_plane, vector};
@@ -75,6 +75,15 @@ impl WorldModel {
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
         self.encoder.encode(frame)
+    }
+
+    /// What the observer reads of one picture: y_c and y_u, each with its doubt.
+    #[must_use]
+    pub fn see(&self, frame: &Frame) -> [Seen; 2] {
+        let features = self.encoder.features(frame);
+        let doubt = observer::doubt(features.missing[0]);
+        let latent = self.encoder.read(features);
+        [Seen { y: vector(self.y_c(&latent)), doubt }, vector(self.y_u(&latent)).into()]
     }
 
     /// y_c = E_c' z_c.

@@ -14,10 +14,9 @@ use sitl::world::noise::{Noise, Stream};
 
 use super::intervals::{self, Interval};
 use crate::dataset::{OBSTACLE_SPEED, START_SPEED};
-use crate::observer::Observer;
+use crate::observer::{Observer, Seen};
 use crate::predictors::{Begin, Predictors};
 use crate::probe::quantile;
-use crate::weights::vector;
 use crate::world_model::WorldModel;
 
 /// How a trajectory begins.
@@ -193,20 +192,17 @@ pub fn look(
         let mut observer = Observer::new(motion, t.history.len());
         let mut pair = [Vector2::zeros(); 2];
         let mut y_u = Vector2::zeros();
-        let mut last: Option<[[Vector2<f64>; 2]; 2]> = None;
+        let mut last: Option<([Vector2<f64>; 2], [Seen; 2])> = None;
         for (k, scene) in t.history.iter().enumerate() {
             // Equal scenes give equal pictures: encoded once.
-            let [y, u] = match last {
-                Some([before, y]) if before == *scene => y,
-                _ => {
-                    let latent = model.encode(&camera::render(scene[0], scene[1], scenario));
-                    [vector(model.y_c(&latent)), vector(model.y_u(&latent))]
-                }
+            let [c, u] = match last {
+                Some((before, seen)) if before == *scene => seen,
+                _ => model.see(&camera::render(scene[0], scene[1], scenario)),
             };
-            last = Some([*scene, [y, u]]);
-            pair = [y, if k == 0 { y } else { pair[0] }];
-            y_u = u;
-            observer.observe(y, if k == 0 { &[] } else { &t.flown[k - 1..k] });
+            last = Some((*scene, [c, u]));
+            pair = [c.y, if k == 0 { c.y } else { pair[0] }];
+            y_u = u.y;
+            observer.observe(c, if k == 0 { &[] } else { &t.flown[k - 1..k] });
         }
         tick();
         let observed = observer.estimate().map_or(pair, |e| [e.y, e.before()]);

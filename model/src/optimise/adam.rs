@@ -3,7 +3,7 @@
 use crate::mlp::Mlp;
 
 /// Adam (0.9, 0.999, 1e-8) over one network.
-pub(super) struct Adam {
+pub(crate) struct Adam {
     rate: f32,
     clip: f32,
     step: i32,
@@ -12,7 +12,7 @@ pub(super) struct Adam {
 }
 
 impl Adam {
-    pub(super) fn new(net: &Mlp, rate: f32, clip: f32) -> Self {
+    pub(crate) fn new(net: &Mlp, rate: f32, clip: f32) -> Self {
         let mut zeros = net.clone();
         for layer in &mut zeros.layers {
             layer.w.fill(0.0);
@@ -21,8 +21,13 @@ impl Adam {
         Self { rate, clip, step: 0, first: zeros.clone(), second: zeros }
     }
 
+    /// Changes the learning rate.
+    pub(crate) fn set_rate(&mut self, rate: f32) {
+        self.rate = rate;
+    }
+
     /// One step down `grad`; returns the gradient's norm before clipping.
-    pub(super) fn descend(&mut self, net: &mut Mlp, grad: &Mlp) -> f64 {
+    pub(crate) fn descend(&mut self, net: &mut Mlp, grad: &Mlp) -> f64 {
         let squares = |l: &crate::mlp::Dense| {
             l.w.iter().chain(&l.b).map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>()
         };
