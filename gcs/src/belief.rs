@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 
 use model::observer::Observer;
-use model::weights::vector;
 use model::world_model::WorldModel;
 use nalgebra::Vector2;
 use sitl::Scenario;
