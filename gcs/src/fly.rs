@@ -296,7 +296,7 @@ impl<'a> Shell<'a> {
     fn end(mut self, ended: Ended) -> Result<Flight> {
         self.hub.flush_log()?;
         let held_back = self.flight.held_back.max(self.hub.router().held_back());
-        let lost = self.hub.rows().iter().map(|row| row.counters.lost).sum();
+        let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
         let (packets, misfits) = (self.hub.counts(), self.remote.misfits());
         Ok(Flight { ended, packets, lost, held_back, misfits, ..self.flight })
     }

@@ -124,6 +124,6 @@ pub async fn fly(
 
 fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
     hub.flush_log()?;
-    let lost = hub.rows().iter().map(|row| row.counters.lost).sum();
+    let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
     Ok(Flight { ended, packets: hub.counts(), lost, held_back: hub.router().held_back(), ..flight })
 }

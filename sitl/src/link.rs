@@ -15,6 +15,7 @@
 //! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
 //! | [`links`] | several endpoints at once, as one source and sink of bytes |
 //! | [`param_file`] | `.param` files |
+//! | [`sequence`] | what sequence numbers tell: missing, late |
 //! | [`signing`] | signatures, the key and its file |
 //! | [`tlog`] | the log that every MAVLink tool reads |
 
@@ -26,6 +27,7 @@ pub mod frame;
 pub mod image;
 pub mod links;
 pub mod param_file;
+pub mod sequence;
 pub mod signing;
 pub mod tlog;
 pub mod wire;

@@ -50,6 +50,7 @@ use std::time::Duration;
 use crate::link::decoder::{Counts, Decoder, Packet};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::Encoder;
+use crate::link::sequence::{Heard, Sequence};
 use crate::link::signing::{self, Origin, Rejection, Signing};
 use crate::link::wire::{Clock, Refusal, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
@@ -191,8 +192,8 @@ struct Peer {
     /// Named by configuration: never makes room for others.
     fixed: bool,
     heard: Duration,
-    /// The newest sequence number of each system and component.
-    sequences: Vec<((u8, u8), u8)>,
+    /// The sequence numbers of each system and component.
+    sequences: Vec<((u8, u8), Sequence)>,
 }
 
 impl Peer {
@@ -211,19 +212,18 @@ impl Peer {
 }
 
 impl Peer {
-    /// Frames that are missing before this one.
-    fn gap(&mut self, packet: &Packet) -> u64 {
+    /// What the number of a frame tells.
+    fn number(&mut self, packet: &Packet) -> Heard {
         let from = (packet.system, packet.component);
-        let Some((_, newest)) = self.sequences.iter_mut().find(|(sender, _)| *sender == from) else {
-            if self.sequences.len() < MAX_SENDERS {
-                self.sequences.push((from, packet.sequence));
-            }
-            return 0;
-        };
-        let gap = packet.sequence.wrapping_sub(*newest).wrapping_sub(1);
-        *newest = packet.sequence;
-        // Further back than forward: a late one, or a sender that begins anew.
-        if gap < 128 { gap.into() } else { 0 }
+        if let Some((_, known)) = self.sequences.iter_mut().find(|(sender, _)| *sender == from) {
+            return known.next(packet.sequence);
+        }
+        let mut sequence = Sequence::default();
+        let heard = sequence.next(packet.sequence);
+        if self.sequences.len() < MAX_SENDERS {
+            self.sequences.push((from, sequence));
+        }
+        heard
     }
 
     /// The component that speaks to this peer: the radio, else the autopilot.
@@ -319,7 +319,7 @@ impl Vehicle {
         let mut packets = std::mem::take(&mut self.scratch);
         peer.decoder.datagram_into(bytes, &mut packets);
         tracing::trace!(%from, "{}", peer.decoder.counts());
-        self.meter.lost += packets.iter().map(|packet| peer.gap(packet)).sum::<u64>();
+        packets.iter().for_each(|packet| self.meter.numbered(peer.number(packet)));
         let stamp = self.stamp();
         self.lead = None;
         for packet in &packets {
@@ -347,7 +347,7 @@ impl Vehicle {
             return;
         }
         for (packet, _) in &packets {
-            self.meter.lost += peer.gap(packet);
+            self.meter.numbered(peer.number(packet));
         }
         self.make_room();
         self.introduce(from, peer, now);

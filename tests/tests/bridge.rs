@@ -64,10 +64,10 @@ fn a_flight_through_the_bridge_is_the_flight_without_it() {
         let record = flown(&format!("{scheme}out:{out}"), &folder.path().join(scheme));
         assert_eq!(record, expected, "over {scheme}");
         sitl.wait().unwrap().good().unwrap();
-        // On a machine that is busy elsewhere a socket may overflow; then the ends ask again.
-        let received = metric(metrics, "received_frames_total", &master);
-        let lost = metric(metrics, "lost_frames_total", &master);
-        assert!(received > 1000.0 && lost <= 0.01 * received, "{lost} of {received} lost");
+        assert!(metric(metrics, "received_frames_total", &master) > 1000.0);
+        // The system may let one datagram overtake another, but it loses none.
+        let missing = metric(metrics, "missing_frames_total", &master);
+        assert_eq!(missing, metric(metrics, "late_frames_total", &master));
         assert_eq!(metric(metrics, "duplicate_frames_total", &master), 0.0);
         // Every command of the flight was answered through the bridge.
         assert!(metric(metrics, "round_trip_seconds_count", &master) >= 100.0);

@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use sitl::link::decoder::Counts;
+use sitl::link::sequence::Heard;
 
 /// Counters of one link since it began.
 #[derive(Debug, Clone, Default)]
@@ -12,8 +13,10 @@ pub struct Counters {
     pub frames: Counts,
     /// Bytes that came in.
     pub received_bytes: u64,
-    /// Frames that never came, by the gaps in their senders' sequence numbers.
-    pub lost: u64,
+    /// Frames that were missing when a later one of their sender came.
+    pub missing: u64,
+    /// Those of them that came after all: overtaken on the way.
+    pub late: u64,
     /// Frames that came a second time.
     pub duplicates: u64,
     /// Frames sent.
@@ -35,10 +38,22 @@ impl Counters {
         self.frames.frames + self.frames.mavlink1
     }
 
+    /// What a frame's sequence number has told.
+    pub fn numbered(&mut self, heard: Heard) {
+        self.missing += heard.missing;
+        self.late += u64::from(heard.late);
+    }
+
+    /// Frames that never came.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.missing - self.late
+    }
+
     /// Part of the frames sent to this link that were lost on the way, in [0, 1].
     #[must_use]
     pub fn loss(&self) -> f64 {
-        let lost = self.lost as f64;
+        let lost = self.lost() as f64;
         if lost == 0.0 { 0.0 } else { lost / (lost + self.received() as f64) }
     }
 }
@@ -153,7 +168,7 @@ pub fn table(rows: &[Row<'_>], before: &[(u64, u64)], period: Duration) -> Strin
             rate(c.received(), received),
             c.sent_frames,
             rate(c.sent_frames, sent),
-            c.lost,
+            c.lost(),
             100.0 * c.loss(),
             c.duplicates,
             trip,
@@ -167,10 +182,11 @@ pub fn table(rows: &[Row<'_>], before: &[(u64, u64)], period: Duration) -> Strin
 #[must_use]
 pub fn prometheus(rows: &[Row<'_>], forward: &Histogram, now: Duration) -> String {
     type Value = fn(&Counters) -> f64;
-    let counters: [(&str, &str, Value); 11] = [
+    let counters: [(&str, &str, Value); 12] = [
         ("received_frames", "Good frames received.", |c| c.received() as f64),
         ("received_bytes", "Bytes received.", |c| c.received_bytes as f64),
-        ("lost_frames", "Frames missing by sequence number.", |c| c.lost as f64),
+        ("missing_frames", "Frames not there when a later one of their sender came.", |c| c.missing as f64),
+        ("late_frames", "Missing frames that came after all; the rest is lost.", |c| c.late as f64),
         ("duplicate_frames", "Frames received a second time.", |c| c.duplicates as f64),
         ("bad_crc_frames", "Frames with a wrong checksum.", |c| c.frames.bad_crc as f64),
         ("truncated_frames", "Frames that ended too early.", |c| c.frames.truncated as f64),
@@ -238,13 +254,13 @@ mod tests {
 
     #[test]
     fn the_export_has_a_type_for_each_metric_and_a_line_for_each_link() {
-        let mut counters = Counters { lost: 1, ..Counters::default() };
+        let mut counters = Counters { missing: 2, late: 1, ..Counters::default() };
         counters.frames.frames = 3;
         counters.last_heard = Some(Duration::from_secs(1));
         counters.round_trip.add(Duration::from_micros(2));
         let rows = [Row { name: "udpin:127.0.0.1:14550", systems: vec![(1, 1)], counters: &counters }];
         let text = prometheus(&rows, &Histogram::default(), Duration::from_secs(3));
-        let line = "mavlink_bridge_lost_frames_total{link=\"udpin:127.0.0.1:14550\"} 1";
+        let line = "mavlink_bridge_missing_frames_total{link=\"udpin:127.0.0.1:14550\"} 2";
         assert!(text.lines().any(|l| l == line), "{text}");
         assert!(text.contains("round_trip_seconds_bucket{link=\"udpin:127.0.0.1:14550\",le=\"0.000002\"} 1"));
         assert!(text.contains("mavlink_bridge_silent_seconds{link=\"udpin:127.0.0.1:14550\"} 2"));

@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use sitl::link::encoder::DATAGRAM;
 use sitl::link::frame::{Frame, Splitter};
+use sitl::link::sequence::Sequence;
 
 use super::counters::Counters;
 
@@ -56,17 +57,17 @@ mod id {
 #[derive(Debug, Clone)]
 struct Source {
     heard: Duration,
-    sequence: u8,
+    sequence: Sequence,
     /// Fingerprints of its last frames, and when they came.
     recent: [(u64, Duration); REMEMBERED],
     next: usize,
 }
 
 impl Source {
-    fn new(sequence: u8, now: Duration) -> Self {
+    fn new(now: Duration) -> Self {
         Self {
             heard: now,
-            sequence: sequence.wrapping_sub(1),
+            sequence: Sequence::default(),
             recent: [(0, Duration::ZERO); REMEMBERED],
             next: 0,
         }
@@ -79,16 +80,6 @@ impl Source {
     fn remember(&mut self, fingerprint: u64, now: Duration) {
         self.recent[self.next] = (fingerprint, now);
         self.next = (self.next + 1) % REMEMBERED;
-    }
-
-    /// Frames missing between the one before and this one; a frame from behind is none.
-    fn gap(&mut self, sequence: u8) -> u64 {
-        let step = sequence.wrapping_sub(self.sequence);
-        if step > 128 {
-            return 0;
-        }
-        self.sequence = sequence;
-        u64::from(step.saturating_sub(1))
     }
 }
 
@@ -179,7 +170,7 @@ impl Router {
             name,
             splitter: Splitter::default(),
             sources: BTreeMap::new(),
-            strangers: Source::new(0, Duration::ZERO),
+            strangers: Source::new(Duration::ZERO),
             out: Outbox::default(),
             counters: Counters::default(),
         };
@@ -272,14 +263,14 @@ impl Router {
         // What could not be checked may be junk, and teaches nothing.
         if frame.known && !link.sources.contains_key(&key) {
             self.notices.push(Notice::Found(from, frame.system, frame.component));
-            link.sources.insert(key, Source::new(frame.sequence, now));
+            link.sources.insert(key, Source::new(now));
         }
         let Some(source) = link.sources.get_mut(&key) else {
             link.strangers.remember(fingerprint, now);
             return true;
         };
         source.heard = now;
-        link.counters.lost += source.gap(frame.sequence);
+        link.counters.numbered(source.sequence.next(frame.sequence));
         source.remember(fingerprint, now);
         true
     }

@@ -18,8 +18,12 @@ use crate::units::Tick;
 
 /// Bytes of an image in one ENCAPSULATED_DATA.
 pub const CHUNK: usize = 253;
+/// Chunks in a datagram, with room for the announcement in the first.
+const CHUNKS: usize = (DATAGRAM - HANDSHAKE_FRAME) / CHUNK_FRAME;
 /// An ENCAPSULATED_DATA frame's length at most, bytes.
 const CHUNK_FRAME: usize = CHUNK + 2 + 12;
+/// A DATA_TRANSMISSION_HANDSHAKE frame's length at most, bytes.
+const HANDSHAKE_FRAME: usize = 13 + 12;
 /// No picture of ours is as large; a handshake that announces more is not believed.
 const MAX_SIZE: usize = 64 * 1024;
 const KEYWORD: &str = "tick";
@@ -157,28 +161,31 @@ pub fn push_stopped(encoder: &mut Encoder, datagram: &mut Vec<u8>) {
     encoder.push(datagram, &DATA_TRANSMISSION_HANDSHAKE_DATA::default());
 }
 
-/// The datagrams of an image.
-pub fn datagrams(png: &[u8], encoder: &mut Encoder) -> Vec<Vec<u8>> {
-    let mut out = vec![Vec::with_capacity(DATAGRAM)];
-    let announcement = DATA_TRANSMISSION_HANDSHAKE_DATA {
-        size: png.len() as u32,
-        width: SIDE as u16,
-        height: SIDE as u16,
-        packets: png.len().div_ceil(CHUNK) as u16,
-        mavtype: MavlinkDataStreamType::MAVLINK_DATA_STREAM_IMG_PNG,
-        payload: CHUNK as u8,
-        jpg_quality: 100,
-    };
-    encoder.push(&mut out[0], &announcement);
-    for (k, chunk) in png.chunks(CHUNK).enumerate() {
+/// How many datagrams an image takes.
+#[must_use]
+pub fn datagram_count(png: &[u8]) -> usize {
+    png.len().div_ceil(CHUNK * CHUNKS).max(1)
+}
+
+/// Datagram `index` of an image; the first one announces it.
+pub fn datagram(png: &[u8], index: usize, encoder: &mut Encoder) -> Vec<u8> {
+    let mut out = Vec::with_capacity(DATAGRAM);
+    if index == 0 {
+        let announcement = DATA_TRANSMISSION_HANDSHAKE_DATA {
+            size: png.len() as u32,
+            width: SIDE as u16,
+            height: SIDE as u16,
+            packets: png.len().div_ceil(CHUNK) as u16,
+            mavtype: MavlinkDataStreamType::MAVLINK_DATA_STREAM_IMG_PNG,
+            payload: CHUNK as u8,
+            jpg_quality: 100,
+        };
+        encoder.push(&mut out, &announcement);
+    }
+    for (k, chunk) in png.chunks(CHUNK).enumerate().skip(index * CHUNKS).take(CHUNKS) {
         let mut data = [0; CHUNK];
         data[..chunk.len()].copy_from_slice(chunk);
-        if out.last().is_none_or(|last| last.len() + CHUNK_FRAME > DATAGRAM) {
-            out.push(Vec::with_capacity(DATAGRAM));
-        }
-        if let Some(last) = out.last_mut() {
-            encoder.push(last, &ENCAPSULATED_DATA_DATA { seqnr: k as u16, data });
-        }
+        encoder.push(&mut out, &ENCAPSULATED_DATA_DATA { seqnr: k as u16, data });
     }
     out
 }
@@ -274,7 +281,9 @@ mod tests {
     fn packets(frame: &Frame, tick: u64) -> Vec<Packet> {
         let png = png_from_frame(frame, Tick(tick)).unwrap();
         let mut decoder = Decoder::default();
-        datagrams(&png, &mut Encoder::new(1, 1)).iter().flat_map(|d| decoder.datagram(d)).collect()
+        let mut encoder = Encoder::new(1, 1);
+        let datagrams = (0..datagram_count(&png)).map(|k| datagram(&png, k, &mut encoder));
+        datagrams.flat_map(|bytes| decoder.datagram(&bytes)).collect()
     }
 
     fn feed<'a>(
@@ -295,6 +304,9 @@ mod tests {
         }
         let noise: Vec<u8> = (0..SIDE * SIDE * 3).map(|i| (i * i % 251) as u8).collect();
         let frame = Frame::from_rgb(noise).unwrap();
+        let large = png_from_frame(&frame, Tick(7)).unwrap();
+        let lengths = (0..datagram_count(&large)).map(|k| datagram(&large, k, &mut Encoder::new(1, 1)).len());
+        assert!(lengths.max().unwrap() <= DATAGRAM);
         assert_eq!(frame_from_png(&png_from_frame(&frame, Tick(7)).unwrap()).unwrap(), (Tick(7), frame));
     }
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::link::decoder::Counts;
+use crate::link::sequence::Heard;
 use crate::link::{dialect, signing};
 
 /// Over which rates are measured.
@@ -14,7 +15,7 @@ pub(super) struct Meter {
     frames_sent: u64,
     bytes: Bytes,
     /// Frames that others sent and that did not come, by their sequence numbers.
-    pub lost: u64,
+    lost: u64,
     /// The beginning of the present window, and the bytes before it.
     since: (Duration, Bytes),
     /// Bytes a second in the last window.
@@ -37,6 +38,12 @@ impl Meter {
     /// A datagram has come.
     pub fn received(&mut self, datagram: &[u8]) {
         self.bytes.received += datagram.len() as u64;
+    }
+
+    /// A frame has come: how many are missing before it, or that it was missing itself.
+    pub fn numbered(&mut self, heard: Heard) {
+        self.lost += heard.missing;
+        self.lost -= u64::from(heard.late);
     }
 
     /// Closes the window if it is full.

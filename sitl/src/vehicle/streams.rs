@@ -25,16 +25,19 @@ impl Vehicle {
     }
 
     /// Sends this tick's percept to all. Each time the datagrams go out in another order, so a path
-    /// that loses every n-th of them does not lose the same one for ever.
+    /// that loses every n-th of them does not lose the same one for ever. They are numbered in the
+    /// order in which they go: a frame behind its successor would count as lost everywhere.
     pub fn send_percept(&mut self) {
         for address in self.addresses() {
-            let mut datagrams = vec![self.telemetry_datagram(address)];
-            if self.picture_is_due(address) {
-                datagrams.extend(self.image_datagrams(address));
+            let picture = if self.picture_is_due(address) { image::datagram_count(self.png()) } else { 0 };
+            let parts = 1 + picture;
+            for k in 0..parts {
+                let datagram = match (self.sendings + k) % parts {
+                    0 => self.telemetry_datagram(address),
+                    part => self.image_datagram(address, part - 1),
+                };
+                self.outbox.push_back((address, datagram));
             }
-            let turn = self.sendings % datagrams.len();
-            datagrams.rotate_left(turn);
-            self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
         }
         self.sendings += 1;
     }
@@ -124,8 +127,10 @@ impl Vehicle {
 
     /// Sends this tick's picture to one peer.
     pub(super) fn send_image(&mut self, address: PeerId) {
-        let datagrams = self.image_datagrams(address);
-        self.outbox.extend(datagrams.into_iter().map(|bytes| (address, bytes)));
+        for index in 0..image::datagram_count(self.png()) {
+            let datagram = self.image_datagram(address, index);
+            self.outbox.push_back((address, datagram));
+        }
     }
 
     /// Says something to all peers, at most once a second of each kind.
@@ -175,13 +180,18 @@ impl Vehicle {
         datagram
     }
 
-    fn image_datagrams(&mut self, address: PeerId) -> Vec<Vec<u8>> {
-        let Some(peer) = self.peers.get_mut(&address) else { return Vec::new() };
+    fn image_datagram(&mut self, address: PeerId, index: usize) -> Vec<u8> {
+        self.png();
+        let (Some(peer), Some(png)) = (self.peers.get_mut(&address), &self.png) else { return Vec::new() };
+        image::datagram(png, index, &mut peer.autopilot)
+    }
+
+    /// This tick's picture, encoded once.
+    fn png(&mut self) -> &[u8] {
         let sim = &self.sim;
-        let png = self.png.get_or_insert_with(|| {
+        self.png.get_or_insert_with(|| {
             image::png_from_frame(&sim.frame(), sim.tick())
                 .expect("a frame has the picture's size and memory takes every byte")
-        });
-        image::datagrams(png, &mut peer.autopilot)
+        })
     }
 }

@@ -177,6 +177,11 @@ fn reports_flow_to_every_peer_and_pictures_to_those_who_asked() {
 fn each_component_counts_its_frames_for_each_peer() {
     let mut bench = Bench::new();
     let mut packets = bench.hello();
+    let request = dialect::DATA_TRANSMISSION_HANDSHAKE_DATA {
+        mavtype: dialect::MavlinkDataStreamType::MAVLINK_DATA_STREAM_IMG_PNG,
+        ..Default::default()
+    };
+    packets.extend(bench.send(&request));
     for k in 0..20 {
         packets.extend(bench.command(k, [1.0, 0.0], TxPower::High));
         bench.vehicle.advance(bench.now);
@@ -186,6 +191,11 @@ fn each_component_counts_its_frames_for_each_peer() {
         Encoder::new(254, 1).push(&mut datagram, &dialect::HEARTBEAT_DATA::default());
         bench.vehicle.datagram(&datagram, other, bench.now);
         packets.extend(bench.received());
+        // Repeats go out in another order, and are numbered in it.
+        for _ in 0..3 {
+            bench.vehicle.send_percept();
+            packets.extend(bench.received());
+        }
     }
     for component in [1, 68] {
         let sequence: Vec<u8> =
