@@ -16,6 +16,7 @@
 //! | [`foreign`] | CRPL on ArduCopter and PX4 | controllers |
 //! | [`bridge`] | a MAVLink router: who hears what, counters | flying |
 //! | [`session`] | a conversation with one vehicle, the shell of the next rows | protocols |
+//! | [`retry`] | what is asked again until it is answered | messages, sockets, clocks |
 //! | [`commands`], [`fleet`] | commands until answered; who is out there | sockets, clocks |
 //! | [`params`], [`missions`] | parameters and missions of any vehicle, and their files | sockets, clocks |
 //! | [`replay`] | a flight that is over, on the wire again | flying |
@@ -46,6 +47,7 @@ pub mod pilot;
 pub mod remote;
 pub mod replay;
 pub mod report;
+pub mod retry;
 pub mod run;
 pub mod session;
 pub mod station;

@@ -8,6 +8,7 @@ use std::path::Path;
 use sitl::link::decoder::Decoder;
 use sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA};
 use tests::program::{self, Finished, PATIENCE, Program};
+use tests::relay::Relay;
 
 fn gcs(address: SocketAddr, args: &[&str]) -> Finished {
     let connect = format!("udpout:{address}");
@@ -63,6 +64,29 @@ fn parameters_are_listed_read_set_saved_and_loaded() {
     refused(&gcs(address, &["param", "--sysid", "9", "list"]), &["no vehicle 9; heard: 1"]);
 }
 
+/// Parameters and missions come through whole where every fifth datagram is lost.
+#[test]
+fn a_path_that_loses_a_fifth_costs_patience_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let relay = Relay::to(address, 5).unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    good(address, &["param", "save", &path("direct.param")]);
+    good(relay.address(), &["param", "save", &path("lossy.param")]);
+    let names = |name: &str| -> Vec<String> {
+        let text = std::fs::read_to_string(path(name)).unwrap();
+        text.lines().map(|line| line.split_whitespace().next().unwrap().to_owned()).collect()
+    };
+    assert_eq!(names("lossy.param"), names("direct.param"));
+    assert!(names("lossy.param").len() > 40);
+    std::fs::write(path("up.waypoints"), MISSION).unwrap();
+    good(relay.address(), &["mission", "upload", &path("up.waypoints")]);
+    good(relay.address(), &["mission", "download", &path("down.waypoints")]);
+    assert_eq!(places(&std::fs::read_to_string(path("down.waypoints")).unwrap()), places(MISSION));
+    let (seen, lost) = relay.counts();
+    assert!(lost > 10 && lost * 5 <= seen, "{lost} of {seen} lost");
+}
+
 /// With the vehicle's key it answers; without, and with another, it does not.
 #[test]
 fn a_vehicle_that_wants_signatures_answers_to_its_key_alone() {
@@ -88,18 +112,25 @@ fn a_vehicle_that_wants_signatures_answers_to_its_key_alone() {
     }
 }
 
+/// Home, and two places north of it at the height of its flights.
+const MISSION: &str = "QGC WPL 110\n\
+    0\t1\t0\t16\t0\t0\t0\t0\t47.39774200\t8.54559400\t488\t1\n\
+    1\t0\t3\t16\t0\t0\t0\t0\t47.39864000\t8.54559400\t100\t1\n\
+    2\t0\t3\t16\t0\t0\t0\t0\t47.39999000\t8.54700000\t100\t1\n";
+
+/// The places of a WPL mission, without its head and home, which the vehicle knows better.
+fn places(text: &str) -> Vec<(String, String)> {
+    let rows = text.lines().skip(2).map(|line| line.split('\t').collect::<Vec<_>>());
+    rows.map(|row| (row[8].to_owned(), row[9].to_owned())).collect()
+}
+
 /// A WPL mission up and down again, as a plan too, and away.
 #[test]
 fn missions_go_up_and_come_down() {
     let folder = tempfile::tempdir().unwrap();
     let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    // Home, and two places north of it at the height of its flights.
-    let text = "QGC WPL 110\n\
-        0\t1\t0\t16\t0\t0\t0\t0\t47.39774200\t8.54559400\t488\t1\n\
-        1\t0\t3\t16\t0\t0\t0\t0\t47.39864000\t8.54559400\t100\t1\n\
-        2\t0\t3\t16\t0\t0\t0\t0\t47.39999000\t8.54700000\t100\t1\n";
-    std::fs::write(path("up.waypoints"), text).unwrap();
+    std::fs::write(path("up.waypoints"), MISSION).unwrap();
     let said = good(address, &["mission", "upload", &path("up.waypoints")]);
     assert!(said.contains("3 items uploaded to vehicle 1"), "{said}");
     good(address, &["mission", "download", &path("down.plan")]);
@@ -108,12 +139,7 @@ fn missions_go_up_and_come_down() {
     assert_eq!(plan["fileType"], "Plan");
     good(address, &["mission", "upload", &path("down.plan")]);
     good(address, &["mission", "download", &path("down.waypoints")]);
-    let places = |text: &str| -> Vec<(String, String)> {
-        // Without the head and home, which the vehicle knows better.
-        let rows = text.lines().skip(2).map(|line| line.split('\t').collect::<Vec<_>>());
-        rows.map(|row| (row[8].to_owned(), row[9].to_owned())).collect()
-    };
-    assert_eq!(places(&std::fs::read_to_string(path("down.waypoints")).unwrap()), places(text));
+    assert_eq!(places(&std::fs::read_to_string(path("down.waypoints")).unwrap()), places(MISSION));
     good(address, &["mission", "clear"]);
     good(address, &["mission", "download", &path("none.waypoints")]);
     assert!(places(&std::fs::read_to_string(path("none.waypoints")).unwrap()).is_empty());

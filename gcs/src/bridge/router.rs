@@ -65,12 +65,7 @@ struct Source {
 
 impl Source {
     fn new(now: Duration) -> Self {
-        Self {
-            heard: now,
-            sequence: Sequence::default(),
-            recent: [(0, Duration::ZERO); REMEMBERED],
-            next: 0,
-        }
+        Self { heard: now, sequence: Sequence::default(), recent: [(0, Duration::ZERO); REMEMBERED], next: 0 }
     }
 
     fn remembers(&self, fingerprint: u64, now: Duration) -> bool {

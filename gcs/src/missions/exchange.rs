@@ -14,12 +14,9 @@ use sitl::link::encoder::Encoder;
 use sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 use super::item::Item;
+use crate::retry::Question;
 use crate::session::Exchange;
 
-/// The standard's wait before something is sent again.
-const RETRY: Duration = Duration::from_millis(700);
-/// How often anything is sent in all, without progress.
-const ATTEMPTS: u32 = 6;
 const ACCEPTED: u8 = 0;
 
 /// MAV_MISSION_RESULT in words.
@@ -61,30 +58,6 @@ fn ack_of(packet: &Packet, vehicle: (u8, u8)) -> Option<u8> {
         .then(|| packet.fields().u8(2))
 }
 
-/// What is sent until it is answered.
-#[derive(Debug, Clone, Copy)]
-struct Repeat {
-    due: Duration,
-    attempts: u32,
-}
-
-impl Repeat {
-    const NEW: Self = Self { due: Duration::ZERO, attempts: 0 };
-
-    /// Whether it is to be sent now; an error once it has been sent in vain too often.
-    fn fires(&mut self, now: Duration) -> Result<bool, ()> {
-        if now < self.due {
-            return Ok(false);
-        }
-        if self.attempts == ATTEMPTS {
-            return Err(());
-        }
-        self.attempts += 1;
-        self.due = now + RETRY;
-        Ok(true)
-    }
-}
-
 /// Gives the vehicle a mission.
 #[derive(Debug)]
 pub struct Upload {
@@ -92,15 +65,14 @@ pub struct Upload {
     target: (u8, u8),
     /// The item that was asked for last.
     asked: Option<u16>,
-    repeat: Repeat,
-    done: Option<Result<(), String>>,
+    question: Question<()>,
 }
 
 impl Upload {
     /// These items, to this system and component.
     #[must_use]
     pub fn new(items: Vec<Item>, target: (u8, u8)) -> Self {
-        Self { items, target, asked: None, repeat: Repeat::NEW, done: None }
+        Self { items, target, asked: None, question: Question::default() }
     }
 }
 
@@ -108,13 +80,13 @@ impl Exchange for Upload {
     type Output = ();
 
     fn packet(&mut self, packet: &Packet, now: Duration) {
-        if let Some(result) = ack_of(packet, self.target).filter(|_| self.repeat.attempts > 0) {
+        if let Some(result) = ack_of(packet, self.target).filter(|_| self.question.retry.asked()) {
             let at =
                 self.asked.map_or(String::new(), |seq| format!(" (item {seq} was the last one asked for)"));
             let done = if result == ACCEPTED { Ok(()) } else { Err(refusal(result) + &at) };
             // ACCEPTED before all items were asked for is another exchange's.
             if result != ACCEPTED || usize::from(self.asked.unwrap_or(0)) + 1 >= self.items.len() {
-                self.done = Some(done);
+                self.question.answered(done);
             }
             return;
         }
@@ -125,17 +97,20 @@ impl Exchange for Upload {
                 return;
             }
             self.asked = Some(sequence);
-            self.repeat = Repeat { due: now, attempts: 0 };
+            self.question.retry.go_on(now);
         }
     }
 
     fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
-        if self.done.is_some() {
+        let silence = || match self.asked {
+            None => "no answer to a mission".into(),
+            Some(sequence) => format!("no answer to item {sequence} of {}", self.items.len()),
+        };
+        if !self.question.fires(now, silence) {
             return;
         }
-        match (self.repeat.fires(now), self.asked) {
-            (Ok(false), _) => {}
-            (Ok(true), None) => {
+        match self.asked {
+            None => {
                 let count = MISSION_COUNT_DATA {
                     count: self.items.len() as u16,
                     target_system: self.target.0,
@@ -144,24 +119,19 @@ impl Exchange for Upload {
                 };
                 station.push(datagram, &count);
             }
-            (Ok(true), Some(sequence)) => {
+            Some(sequence) => {
                 let payload = self.items[usize::from(sequence)].payload(sequence, self.target);
                 station.push_payload::<MISSION_ITEM_INT_DATA>(datagram, &payload);
-            }
-            (Err(()), None) => self.done = Some(Err("no answer to a mission".into())),
-            (Err(()), Some(sequence)) => {
-                let of = self.items.len();
-                self.done = Some(Err(format!("no answer to item {sequence} of {of}")));
             }
         }
     }
 
     fn due(&self) -> Option<Duration> {
-        Some(self.repeat.due)
+        Some(self.question.retry.due())
     }
 
     fn outcome(&mut self) -> Option<Result<(), String>> {
-        self.done.take()
+        self.question.take()
     }
 }
 
@@ -171,10 +141,9 @@ pub struct Download {
     target: (u8, u8),
     count: Option<u16>,
     items: Vec<Item>,
-    repeat: Repeat,
+    question: Question<()>,
     /// Whether the vehicle knows only the older request.
     old: bool,
-    done: Option<Result<(), String>>,
     thanked: bool,
 }
 
@@ -182,8 +151,8 @@ impl Download {
     /// Of this system and component.
     #[must_use]
     pub fn new(target: (u8, u8)) -> Self {
-        let repeat = Repeat::NEW;
-        Self { target, count: None, items: Vec::new(), repeat, old: false, done: None, thanked: false }
+        let question = Question::default();
+        Self { target, count: None, items: Vec::new(), question, old: false, thanked: false }
     }
 
     fn whole(&self) -> bool {
@@ -196,21 +165,21 @@ impl Exchange for Download {
 
     fn packet(&mut self, packet: &Packet, now: Duration) {
         let fields = packet.fields();
-        if self.repeat.attempts == 0 || self.whole() {
+        if !self.question.retry.asked() || self.whole() {
             return;
         }
         if packet.is::<MISSION_COUNT_DATA>() && is_ours(packet, self.target, 2) && fields.u8(4) == 0 {
             if self.count.is_none() {
                 self.count = Some(fields.u16(0));
-                self.repeat = Repeat { due: now, attempts: 0 };
+                self.question.retry.go_on(now);
             }
         } else if let Some(result) = ack_of(packet, self.target) {
             // The standard's way out for a vehicle that knows no integers.
             if self.count.is_some() && !self.old && result != ACCEPTED {
                 self.old = true;
-                self.repeat = Repeat { due: now, attempts: 0 };
+                self.question.retry.go_on(now);
             } else {
-                self.done = Some(Err(refusal(result)));
+                self.question.answered(Err(refusal(result)));
             }
         } else if let Some((sequence, item)) = Item::of(packet)
             && is_ours(packet, self.target, 32)
@@ -218,7 +187,7 @@ impl Exchange for Download {
             && usize::from(sequence) == self.items.len()
         {
             self.items.push(item);
-            self.repeat = Repeat { due: now, attempts: 0 };
+            self.question.retry.go_on(now);
         }
     }
 
@@ -232,17 +201,20 @@ impl Exchange for Download {
             }
             return;
         }
-        if self.done.is_some() {
+        let seq = self.items.len() as u16;
+        let silence = || match self.count {
+            None => "no answer to a request for the mission".into(),
+            Some(of) => format!("item {seq} of {of} does not come"),
+        };
+        if !self.question.fires(now, silence) {
             return;
         }
-        let seq = self.items.len() as u16;
-        match (self.repeat.fires(now), self.count) {
-            (Ok(false), _) => {}
-            (Ok(true), None) => {
+        match self.count {
+            None => {
                 let ask = MISSION_REQUEST_LIST_DATA { target_system, target_component, ..Default::default() };
                 station.push(datagram, &ask);
             }
-            (Ok(true), Some(_)) => {
+            Some(_) => {
                 let mut payload = [0; 5];
                 payload[..2].copy_from_slice(&seq.to_le_bytes());
                 payload[2..4].copy_from_slice(&[target_system, target_component]);
@@ -252,20 +224,18 @@ impl Exchange for Download {
                     station.push_payload::<MISSION_REQUEST_INT_DATA>(datagram, &payload);
                 }
             }
-            (Err(()), None) => self.done = Some(Err("no answer to a request for the mission".into())),
-            (Err(()), Some(of)) => self.done = Some(Err(format!("item {seq} of {of} does not come"))),
         }
     }
 
     fn due(&self) -> Option<Duration> {
-        Some(self.repeat.due)
+        Some(self.question.retry.due())
     }
 
     fn outcome(&mut self) -> Option<Result<Vec<Item>, String>> {
         if self.thanked {
             return Some(Ok(std::mem::take(&mut self.items)));
         }
-        self.done.take().map(|done| done.map(|()| Vec::new()))
+        self.question.take().map(|answer| answer.map(|()| Vec::new()))
     }
 }
 
@@ -273,15 +243,14 @@ impl Exchange for Download {
 #[derive(Debug)]
 pub struct Clear {
     target: (u8, u8),
-    repeat: Repeat,
-    done: Option<Result<(), String>>,
+    question: Question<()>,
 }
 
 impl Clear {
     /// Of this system and component.
     #[must_use]
     pub fn new(target: (u8, u8)) -> Self {
-        Self { target, repeat: Repeat::NEW, done: None }
+        Self { target, question: Question::default() }
     }
 }
 
@@ -289,32 +258,25 @@ impl Exchange for Clear {
     type Output = ();
 
     fn packet(&mut self, packet: &Packet, _now: Duration) {
-        if let Some(result) = ack_of(packet, self.target).filter(|_| self.repeat.attempts > 0) {
-            self.done = Some(if result == ACCEPTED { Ok(()) } else { Err(refusal(result)) });
+        if let Some(result) = ack_of(packet, self.target).filter(|_| self.question.retry.asked()) {
+            self.question.answered(if result == ACCEPTED { Ok(()) } else { Err(refusal(result)) });
         }
     }
 
     fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
-        if self.done.is_some() {
-            return;
-        }
-        match self.repeat.fires(now) {
-            Ok(false) => {}
-            Ok(true) => {
-                let (target_system, target_component) = self.target;
-                let ask = MISSION_CLEAR_ALL_DATA { target_system, target_component, ..Default::default() };
-                station.push(datagram, &ask);
-            }
-            Err(()) => self.done = Some(Err("no answer to clearing the mission".into())),
+        if self.question.fires(now, || "no answer to clearing the mission".into()) {
+            let (target_system, target_component) = self.target;
+            let ask = MISSION_CLEAR_ALL_DATA { target_system, target_component, ..Default::default() };
+            station.push(datagram, &ask);
         }
     }
 
     fn due(&self) -> Option<Duration> {
-        Some(self.repeat.due)
+        Some(self.question.retry.due())
     }
 
     fn outcome(&mut self) -> Option<Result<(), String>> {
-        self.done.take()
+        self.question.take()
     }
 }
 

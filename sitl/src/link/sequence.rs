@@ -53,9 +53,10 @@ mod tests {
     /// Missing and late of all these numbers together.
     fn told(numbers: impl IntoIterator<Item = u8>) -> (u64, u64) {
         let mut sequence = Sequence::default();
-        numbers.into_iter().map(|number| sequence.next(number)).fold((0, 0), |(missing, late), heard| {
-            (missing + heard.missing, late + u64::from(heard.late))
-        })
+        numbers
+            .into_iter()
+            .map(|number| sequence.next(number))
+            .fold((0, 0), |(missing, late), heard| (missing + heard.missing, late + u64::from(heard.late)))
     }
 
     #[test]
