@@ -17,6 +17,7 @@
 //! | `modes` | mode, arming, takeoff, landing, who flies an interval |
 //! | `params` | the parameter tables of both components |
 //! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
+//! | `steps` | the steps of a plan until their command comes |
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
 //!
 //! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
@@ -38,6 +39,7 @@ mod modes;
 mod params;
 mod plan;
 mod rates;
+mod steps;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -54,7 +56,6 @@ use crate::link::sequence::{Heard, Sequence};
 use crate::link::signing::{self, Origin, Rejection, Signing};
 use crate::link::wire::{Clock, Refusal, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
-use crate::msg::Command;
 use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
@@ -66,6 +67,7 @@ use missions::Upload;
 use modes::Conduct;
 use plan::Plan;
 use rates::Rates;
+use steps::Steps;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
 const MAX_PEERS: usize = 16;
@@ -108,8 +110,8 @@ pub struct Vehicle {
     begun: bool,
     ready: bool,
     acknowledged: bool,
-    /// The first stamped setpoint of the datagram in hand, and the tick that its plan goes on with.
-    lead: Option<(Command, Tick)>,
+    /// The plan whose command is still to come.
+    steps: Steps,
     /// Newest time stamp of a power command, boot ms.
     newest_power: Option<f32>,
     said: BTreeMap<&'static str, Duration>,
@@ -261,7 +263,7 @@ impl Vehicle {
             begun: false,
             ready: false,
             acknowledged: false,
-            lead: None,
+            steps: Steps::default(),
             newest_power: None,
             said: BTreeMap::new(),
             period: None,
@@ -321,7 +323,6 @@ impl Vehicle {
         tracing::trace!(%from, "{}", peer.decoder.counts());
         packets.iter().for_each(|packet| self.meter.numbered(peer.number(packet)));
         let stamp = self.stamp();
-        self.lead = None;
         for packet in &packets {
             if let Ok(origin) = self.signing.check(packet, stamp) {
                 self.take(packet, origin, from, now);
@@ -352,7 +353,6 @@ impl Vehicle {
         self.make_room();
         self.introduce(from, peer, now);
         self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
-        self.lead = None;
         for (packet, origin) in &packets {
             self.take(packet, *origin, from, now);
         }

@@ -10,7 +10,7 @@
 //! | `Percept::frame` | image protocol, see [`super::image`] | 1 | PNG |
 //! | `Command::power` | COMMAND_LONG 31010 (MAV_CMD_USER_1) to 68 | station | param1 = 1 or 4, param2 = time stamp or 0 |
 //! | `Command::accel` | SET_POSITION_TARGET_LOCAL_NED | station | frame 1, mask 3135, afx north, afy east, m/s² |
-//! | `Command::plan` | SET_POSITION_TARGET_LOCAL_NED | station | as above, one a later interval, stamped with its tick, behind the command's own in the same datagram |
+//! | `Command::plan` | SET_POSITION_TARGET_LOCAL_NED | station | as above, one a later interval, stamped with its tick, before the command's own; x is the interval's place in the plan, from 1 on, y the plan's length (the mask ignores both) |
 //!
 //! All time stamps are [`Clock::boot_ms`] of a tick. The messages of a telemetry report travel in
 //! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
@@ -22,7 +22,7 @@ use super::decoder::Packet;
 use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
 use super::{AUTOPILOT, RADIO};
-use crate::msg::{Command, Held, LinkReport, Telemetry, TxPower};
+use crate::msg::{Command, Held, LinkReport, Plan, Telemetry, TxPower};
 use crate::scenario::Scenario;
 use crate::units::Tick;
 
@@ -309,8 +309,8 @@ fn finite<const N: usize>(values: [f32; N]) -> Option<[f32; N]> {
     values.iter().all(|value| value.is_finite()).then_some(values)
 }
 
-/// Appends a command: power first, so that the setpoint behind it already goes out with it, and its
-/// plan as setpoints of the ticks that follow.
+/// Appends a command: power and plan first, so that both are there when the setpoint arrives,
+/// wherever a stream is cut. Who knows no plans flies the setpoint, which is the last.
 pub fn push_command(
     command: &Command,
     clock: &Clock,
@@ -327,12 +327,14 @@ pub fn push_command(
         ..Default::default()
     };
     station.push(datagram, &power);
-    push_setpoint(command.tick, command.accel, clock, system, station, datagram);
+    let plan = command.plan.accelerations();
     let mut tick = command.tick;
-    for accel in command.plan.accelerations() {
+    for (place, accel) in (1..).zip(plan) {
         tick = tick.next();
-        push_setpoint(tick, *accel, clock, system, station, datagram);
+        let step = Step { place, of: plan.len() as u8 };
+        station.push(datagram, &setpoint(tick, *accel, Some(step), clock, system));
     }
+    push_setpoint(command.tick, command.accel, clock, system, station, datagram);
 }
 
 /// Appends a setpoint alone.
@@ -344,8 +346,21 @@ pub fn push_setpoint(
     station: &mut Encoder,
     datagram: &mut Vec<u8>,
 ) {
-    let setpoint = dialect::SET_POSITION_TARGET_LOCAL_NED_DATA {
+    station.push(datagram, &setpoint(tick, accel, None, clock, system));
+}
+
+fn setpoint(
+    tick: Tick,
+    accel: [f32; 2],
+    step: Option<Step>,
+    clock: &Clock,
+    system: u8,
+) -> dialect::SET_POSITION_TARGET_LOCAL_NED_DATA {
+    let [x, y] = step.map_or([0.0; 2], |step| [step.place, step.of].map(f32::from));
+    dialect::SET_POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: clock.boot_ms(tick),
+        x,
+        y,
         afx: accel[0],
         afy: accel[1],
         type_mask: PositionTargetTypemask::from_bits_retain(MASK_ACCEL),
@@ -353,8 +368,7 @@ pub fn push_setpoint(
         target_component: AUTOPILOT,
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
-    };
-    station.push(datagram, &setpoint);
+    }
 }
 
 /// System and component to which a message is addressed; 0 is all.
@@ -381,6 +395,26 @@ pub struct Setpoint {
     pub stamp_ms: u32,
     /// North, east, m/s².
     pub accel: [f32; 2],
+    /// For a later interval than its command's: its place in that command's plan.
+    pub step: Option<Step>,
+}
+
+/// A place in a plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Step {
+    /// So many intervals after the command's own, from 1 on.
+    pub place: u8,
+    /// The plan's length, at most [`Plan::MOST`].
+    pub of: u8,
+}
+
+impl Step {
+    /// The step in the two fields; anything else there is a position that the mask ignores.
+    fn of([place, of]: [f32; 2]) -> Option<Self> {
+        let most = Plan::MOST as f32;
+        let is_step = place >= 1.0 && place <= of && of <= most && place.fract() == 0.0 && of.fract() == 0.0;
+        is_step.then_some(Self { place: place as u8, of: of as u8 })
+    }
 }
 
 /// Why a setpoint is not flown.
@@ -421,7 +455,8 @@ pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>
     } else if finite(accel).is_none() {
         Err(Refusal::NotFinite)
     } else {
-        Ok(Setpoint { stamp_ms: fields.u32(0), accel: [accel[0], accel[1]] })
+        let step = Step::of([fields.f32(4), fields.f32(8)]);
+        Ok(Setpoint { stamp_ms: fields.u32(0), accel: [accel[0], accel[1]], step })
     };
     Some((Target { system: fields.u8(50), component: fields.u8(51) }, result))
 }

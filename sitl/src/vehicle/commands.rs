@@ -36,7 +36,7 @@ impl Vehicle {
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
             if target.is(self.system, AUTOPILOT) {
                 self.watch.arrived();
-                self.setpoint(setpoint, now);
+                self.setpoint(setpoint, from, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
             self.ask(&ask, asker, from, now);
@@ -80,28 +80,22 @@ impl Vehicle {
         }
     }
 
-    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now. What follows
-    /// in the same datagram with the next ticks' stamps is that command's plan.
-    fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, now: Duration) {
-        let Setpoint { stamp_ms, accel } = match setpoint {
+    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now. Steps of a plan
+    /// wait for their command, which comes behind them.
+    fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, from: PeerId, now: Duration) {
+        let Setpoint { stamp_ms, accel, step } = match setpoint {
             Ok(setpoint) => setpoint,
             Err(refusal) => return self.refuse(refusal, now),
         };
         let current = self.sim.tick();
         let named = self.clock.tick(stamp_ms);
-        if let Some((command, next)) = self.lead.as_mut().filter(|(_, next)| named == Some(*next)) {
-            *next = next.next();
-            command.plan.push(accel);
-            let command = *command;
-            if command.tick == current && !self.over() && self.takes_setpoints() {
-                self.sim.handle(command);
-            }
-            return;
+        if let (Some(step), Some(tick)) = (step, named) {
+            return self.steps.add(from, tick, step, accel);
         }
         let stamped = named.filter(|&tick| tick <= current);
         let tick = stamped.unwrap_or(current);
-        let command = Command::new(tick, accel, self.sim.power());
-        self.lead = stamped.map(|tick| (command, tick.next()));
+        let plan = stamped.and_then(|tick| self.steps.take(from, tick)).unwrap_or_default();
+        let command = Command { plan, ..Command::new(tick, accel, self.sim.power()) };
         if self.over() {
             self.acknowledged |= stamped == Some(current);
             return;

@@ -496,3 +496,33 @@ fn a_plan_is_flown_in_an_outage_and_never_taken_for_a_command() {
     bench.datagram(&late);
     assert!(!bench.vehicle.acknowledged(), "a plan for the last tick is no acknowledgement");
 }
+
+#[test]
+fn a_plan_is_the_same_wherever_a_stream_is_cut() {
+    let mut scenario = Scenario::default();
+    scenario.radio.b_dt = 20.0;
+    let length = Bench::with(scenario.clone(), None).planned(0, 1.0, &[2.0, 3.0]).len();
+    for cut in 1..length {
+        let mut bench = Bench::with(scenario.clone(), None);
+        bench.vehicle.connected(bench.address.into(), bench.now);
+        let first = bench.planned(0, 1.0, &[2.0, 3.0]);
+        let (head, tail) = first.split_at(cut);
+        for part in [head, tail] {
+            assert!(!bench.vehicle.ready(), "before its end, at {cut}");
+            bench.datagram(part);
+        }
+        assert!(bench.vehicle.ready(), "{cut}");
+        // A repeat, cut by the end of the interval, is still the plan of tick 0.
+        let again = bench.planned(0, 1.0, &[2.0, 3.0]);
+        let (head, tail) = again.split_at(cut);
+        bench.datagram(head);
+        bench.vehicle.advance(bench.now);
+        bench.datagram(tail);
+        assert!(!bench.vehicle.ready(), "{cut}");
+        for accel in [2.0, 3.0, 3.0] {
+            bench.vehicle.advance(bench.now);
+            let held = bench.vehicle.sim.telemetry().held.map(|h| (h.tick, h.accel[0]));
+            assert_eq!(held, Some((Tick(0), accel)), "{cut}");
+        }
+    }
+}

@@ -142,7 +142,7 @@ fn setpoints_are_taken_or_refused_for_a_reason() {
         }
     };
     let verdict = |packet: Packet| setpoint_of(&packet).unwrap().1;
-    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0] });
+    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0], step: None });
     assert_eq!(verdict(setpoint(|_| {})), good);
     assert_eq!(verdict(setpoint(|m| (m.x, m.yaw) = (f32::NAN, f32::NAN))), good);
     assert_eq!(verdict(setpoint(mask(0x3F))), good, "yaw is not flown");
