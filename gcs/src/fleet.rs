@@ -7,7 +7,7 @@ use std::time::Duration;
 use sitl::link::decoder::Packet;
 use sitl::link::dialect::HEARTBEAT_DATA;
 
-/// A link counts as lost when five heartbeats, one a second, are missing.
+/// A link counts as lost when five heartbeats, one a second of the vehicle's time, are missing.
 const LOST_AFTER: Duration = Duration::from_millis(5500);
 /// MAV_AUTOPILOT_INVALID: stations, radios, cameras.
 const NO_AUTOPILOT: u8 = 8;
@@ -147,13 +147,36 @@ impl fmt::Display for News {
     }
 }
 
+impl News {
+    /// Says it in the log: a lost link as a warning.
+    pub fn log(&self) {
+        match self {
+            Self::Lost(_) => tracing::warn!("{self}"),
+            _ => tracing::info!("{self}"),
+        }
+    }
+}
+
 /// All vehicles on a link.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Fleet {
     vehicles: BTreeMap<u8, Vehicle>,
+    lost_after: Duration,
+}
+
+impl Default for Fleet {
+    fn default() -> Self {
+        Self { vehicles: BTreeMap::new(), lost_after: LOST_AFTER }
+    }
 }
 
 impl Fleet {
+    /// Of vehicles that beat once a second of a time that runs `speedup` times as fast as the wall's.
+    #[must_use]
+    pub fn paced(speedup: f64) -> Self {
+        Self { lost_after: LOST_AFTER.div_f64(speedup), ..Self::default() }
+    }
+
     /// A packet has come.
     pub fn packet(&mut self, packet: &Packet, now: Duration) -> Vec<News> {
         if let Some(vehicle) = self.vehicles.get_mut(&packet.system) {
@@ -193,7 +216,7 @@ impl Fleet {
     pub fn poll(&mut self, now: Duration) -> Vec<News> {
         let mut news = Vec::new();
         for (&id, vehicle) in &mut self.vehicles {
-            if !vehicle.lost && now.saturating_sub(vehicle.heard) >= LOST_AFTER {
+            if !vehicle.lost && now.saturating_sub(vehicle.heard) >= self.lost_after {
                 vehicle.lost = true;
                 news.push(News::Lost(id));
             }
@@ -205,6 +228,12 @@ impl Fleet {
     #[must_use]
     pub fn get(&self, system: u8) -> Option<&Vehicle> {
         self.vehicles.get(&system)
+    }
+
+    /// Whether a vehicle was heard and its heartbeats are missing now.
+    #[must_use]
+    pub fn is_lost(&self, system: u8) -> bool {
+        self.get(system).is_some_and(|vehicle| vehicle.lost)
     }
 
     /// System ids of all vehicles.
@@ -248,11 +277,21 @@ mod tests {
         assert_eq!(fleet.poll(s(5.0)), []);
         assert_eq!(words(fleet.poll(s(5.6))), ["vehicle 1: link lost, five heartbeats are missing"]);
         assert_eq!(fleet.poll(s(9.0)), [], "said once");
+        assert!(fleet.is_lost(1));
         let back = fleet.packet(&beat(1, 1, APM, 4, true), s(9.5));
         let expected =
             ["vehicle 1: link regained after 9.5 s", "vehicle 1: STABILIZE to GUIDED", "vehicle 1: armed"];
         assert_eq!(words(back), expected);
         assert!(fleet.get(1).unwrap().mode.takes_setpoints());
+    }
+
+    #[test]
+    fn heartbeats_are_counted_in_the_vehicle_s_time() {
+        let mut fleet = Fleet::paced(10.0);
+        fleet.packet(&beat(1, 1, APM, 4, true), s(0.0));
+        assert_eq!(fleet.poll(s(0.5)), []);
+        assert_eq!(fleet.poll(s(0.56)), [News::Lost(1)]);
+        assert!(fleet.is_lost(1) && !fleet.is_lost(2));
     }
 
     #[test]

@@ -24,6 +24,7 @@ use tokio::time::{Instant, interval, sleep};
 use crate::bridge::hub::Hub;
 use crate::bridge::router::Notice;
 use crate::bridge::tell;
+use crate::fleet::News;
 use crate::remote::{Event, Remote};
 
 /// The station's heartbeat.
@@ -42,10 +43,8 @@ pub struct Options {
     pub signing_key: Option<PathBuf>,
     /// Who else talks to the vehicle through this program.
     pub outs: Vec<Endpoint>,
-    /// How long to wait for the first percept, and for any next one.
+    /// How long to wait for the first percept, and for any next one, also where the link is lost.
     pub patience: Duration,
-    /// How long nothing at all may be heard once the link is up.
-    pub silence: Duration,
 }
 
 impl Default for Options {
@@ -56,7 +55,6 @@ impl Default for Options {
             signing_key: None,
             outs: Vec::new(),
             patience: Duration::from_secs(30),
-            silence: Duration::from_secs(5),
         }
     }
 }
@@ -144,8 +142,9 @@ pub async fn fly(
                         shell.repeat().await?;
                     }
                     Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    Event::News(news) => news.log(),
                     Event::LeftGuided(mode) => {
-                        return shell.taken_over(&format!("vehicle is in mode {mode}")).await;
+                        return shell.taken_over(&format!("vehicle is in {mode}")).await;
                     }
                 }
             }
@@ -161,7 +160,6 @@ struct Shell<'a> {
     remote: Remote,
     first_percept: Option<Instant>,
     last_percept: Instant,
-    last_heard: Option<Instant>,
     interval_s: f64,
     flight: Flight,
 }
@@ -188,22 +186,15 @@ impl<'a> Shell<'a> {
             remote: Remote::new(scenario),
             first_percept: None,
             last_percept: Instant::now(),
-            last_heard: None,
             interval_s: scenario.scale.interval_s,
             flight: Flight::default(),
         })
     }
 
     /// A clear word instead of waiting for ever.
-    fn check(&self) -> Result<()> {
+    fn check(&mut self) -> Result<()> {
+        self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         let (connect, waited) = (self.connect, self.last_percept.elapsed());
-        if self.last_heard.is_some_and(|at| at.elapsed() > self.options.silence) {
-            let tick = self
-                .remote
-                .newest()
-                .map_or("before the first percept".into(), |t| format!("at tick {}", t.0));
-            bail!("{connect}: the link is silent for {} s {tick}", self.options.silence.as_secs_f64());
-        }
         if waited <= self.options.patience {
             return Ok(());
         }
@@ -216,6 +207,12 @@ impl<'a> Shell<'a> {
                 self.remote.misfits(),
                 self.interval_s
             ),
+            (Some(system), Some(tick)) if self.remote.is_lost() => {
+                bail!(
+                    "{connect}: vehicle {system}: link lost after tick {}, and not regained for {seconds} s",
+                    tick.0
+                )
+            }
             (Some(system), Some(tick)) => {
                 bail!("{connect}: vehicle {system} sent no new percept for {seconds} s after tick {}", tick.0)
             }
@@ -223,11 +220,8 @@ impl<'a> Shell<'a> {
     }
 
     fn datagram(&mut self, bytes: &[u8]) -> Vec<Event> {
-        let (known, good) = (self.remote.system(), self.remote.counts().frames);
-        let events = self.remote.datagram(bytes);
-        if self.remote.counts().frames > good {
-            self.last_heard = Some(Instant::now());
-        }
+        let known = self.remote.system();
+        let events = self.remote.datagram(bytes, self.hub.elapsed());
         if known.is_none() && self.remote.system().is_some() {
             self.hub.hold(self.remote.system());
         }
@@ -269,7 +263,7 @@ impl<'a> Shell<'a> {
     }
 
     /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
-    /// this program, goes on passing their messages to and fro, until Ctrl-C or silence.
+    /// this program, goes on passing their messages to and fro, until Ctrl-C or the link is lost.
     async fn taken_over(mut self, why: &str) -> Result<Flight> {
         self.flight.held_back = self.hub.router().held_back();
         self.hub.hold(None);
@@ -278,17 +272,16 @@ impl<'a> Shell<'a> {
             self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
         self.hub.send(&said).await?;
         let mut beat = interval(HEARTBEAT);
-        let mut heard = Instant::now();
-        while !self.options.outs.is_empty() && heard.elapsed() < self.options.silence {
+        while !self.options.outs.is_empty() && !self.remote.is_lost() {
             tokio::select! {
                 turned = self.hub.turn() => turned?,
                 _ = beat.tick() => self.beat().await?,
                 _ = tokio::signal::ctrl_c() => break,
             }
             while let Some(datagram) = self.hub.take() {
-                self.remote.datagram(&datagram);
-                heard = Instant::now();
+                self.remote.datagram(&datagram, self.hub.elapsed());
             }
+            self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         }
         self.end(Ended::TakenOver)
     }
@@ -441,12 +434,14 @@ mod tests {
     async fn a_link_that_falls_silent_is_told_with_its_tick() {
         let target = vehicle(true).await;
         let cut = relay(target, u64::MAX).await;
-        let options = Options { silence: Duration::from_millis(300), ..Options::default() };
+        let options = Options { patience: Duration::from_secs(1), ..Options::default() };
         // The vehicle's flight is over after its last tick, and then it falls silent.
         let connect = endpoint(&format!("udpout:{cut}"));
         let scenario = Scenario::default();
         let flight = fly(&connect, &scenario, &options, station);
         let error = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap_err().to_string();
-        assert!(error.ends_with(&format!("silent for 0.3 s at tick {TICKS}")), "{error}");
+        let (what, tick) = error.rsplit_once(' ').unwrap();
+        assert!(what.ends_with("vehicle 1 sent no new percept for 1 s after tick"), "{error}");
+        assert!(tick.parse::<u64>().unwrap() <= TICKS, "{error}");
     }
 }

@@ -6,6 +6,7 @@
 //! earlier ticks out.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use sitl::Scenario;
 use sitl::camera::Frame;
@@ -18,6 +19,8 @@ use sitl::link::{AUTOPILOT, STATION_COMPONENT, STATION_SYSTEM};
 use sitl::msg::{Command, Percept, Telemetry};
 use sitl::units::Tick;
 
+use crate::fleet::{Fleet, Mode, News};
+
 /// Something worth acting on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
@@ -27,12 +30,11 @@ pub enum Event {
     Repeat(Tick),
     /// STATUSTEXT: severity 0 (emergency) to 7 (debug), text.
     Text(u8, String),
-    /// The vehicle has left GUIDED for this mode (ArduCopter's numbers): somebody else flies it.
-    LeftGuided(u32),
+    /// What the vehicle's heartbeats tell.
+    News(News),
+    /// The vehicle has left GUIDED for this mode: somebody else flies it.
+    LeftGuided(Mode),
 }
-
-/// ArduCopter's number of the mode in which a vehicle takes setpoints.
-const GUIDED: u32 = 4;
 
 /// The far end of the link.
 #[derive(Debug)]
@@ -51,8 +53,7 @@ pub struct Remote {
     command: Option<Command>,
     /// Repeats since the newest percept.
     repeats: u32,
-    /// Of the newest heartbeat.
-    mode: Option<u32>,
+    fleet: Fleet,
 }
 
 /// Repeats without a new percept after which the pictures are asked for again.
@@ -74,12 +75,12 @@ impl Remote {
             newest: None,
             command: None,
             repeats: 0,
-            mode: None,
+            fleet: Fleet::default(),
         }
     }
 
     /// A datagram has arrived.
-    pub fn datagram(&mut self, bytes: &[u8]) -> Vec<Event> {
+    pub fn datagram(&mut self, bytes: &[u8], now: Duration) -> Vec<Event> {
         let packets = self.decoder.datagram(bytes);
         let mut events = Vec::new();
         for packet in &packets {
@@ -88,13 +89,13 @@ impl Remote {
                 self.system.get_or_insert(packet.system);
             }
             if self.system == Some(packet.system) {
-                self.packet(packet, &mut events);
+                self.packet(packet, now, &mut events);
             }
         }
         events
     }
 
-    fn packet(&mut self, packet: &Packet, events: &mut Vec<Event>) {
+    fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<Event>) {
         if let Some(report) = self.reports.push(packet, &self.clock) {
             if self.newest == Some(report.tick) {
                 events.push(Event::Repeat(report.tick));
@@ -113,10 +114,15 @@ impl Remote {
         {
             let text = message.text.to_str().unwrap_or_default().to_owned();
             events.push(Event::Text(message.severity as u8, text));
-        } else if packet.is::<dialect::HEARTBEAT_DATA>() && packet.component == AUTOPILOT {
-            let mode = packet.fields().u32(0);
-            if self.mode.replace(mode) == Some(GUIDED) && mode != GUIDED {
-                events.push(Event::LeftGuided(mode));
+        } else if packet.is::<dialect::HEARTBEAT_DATA>() {
+            for news in self.fleet.packet(packet, now) {
+                events.push(Event::News(news));
+                if let News::Mode(_, before, after) = news
+                    && before.takes_setpoints()
+                    && !after.takes_setpoints()
+                {
+                    events.push(Event::LeftGuided(after));
+                }
             }
         }
         events.extend(self.complete().map(Event::Percept));
@@ -194,6 +200,17 @@ impl Remote {
         let mut datagram = Vec::new();
         image::push_request(&mut self.station, &mut datagram);
         datagram
+    }
+
+    /// Whether the link is lost by now, as news if it has just become so.
+    pub fn poll(&mut self, now: Duration) -> Vec<News> {
+        self.fleet.poll(now)
+    }
+
+    /// Whether the vehicle was heard and its heartbeats are missing.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.system.is_some_and(|system| self.fleet.is_lost(system))
     }
 
     /// The vehicle's system id, once heard.

@@ -162,14 +162,14 @@ impl Session {
         let (now, mut ours) = (self.now(), Vec::new());
         while let Some(datagram) = self.hub.take() {
             for packet in self.decoder.datagram(&datagram) {
-                self.fleet.packet(&packet, now).iter().for_each(tell);
+                self.fleet.packet(&packet, now).iter().for_each(News::log);
                 self.commander.packet(&packet, now);
                 if packet.system == self.system {
                     ours.push(packet);
                 }
             }
         }
-        self.fleet.poll(now).iter().for_each(tell);
+        self.fleet.poll(now).iter().for_each(News::log);
         Ok(ours)
     }
 
@@ -231,13 +231,6 @@ impl Session {
 
     async fn send(&mut self, datagram: &[u8]) -> Result<()> {
         if datagram.is_empty() { Ok(()) } else { self.hub.send(datagram).await }
-    }
-}
-
-fn tell(news: &News) {
-    match news {
-        News::Lost(_) => tracing::warn!("{news}"),
-        _ => tracing::info!("{news}"),
     }
 }
 

@@ -139,6 +139,12 @@ impl Program {
         found.with_context(|| self.complaint(&format!("printed no line `{prefix}...`")))
     }
 
+    /// Waits until something logged contains `text`.
+    pub fn logs(&self, text: &str) -> Result<()> {
+        let found = self.stderr.wait(|lines| lines.iter().any(|line| line.contains(text)).then_some(()));
+        found.with_context(|| self.complaint(&format!("did not log `{text}`")))
+    }
+
     /// Writes a line to the program's stdin.
     pub fn tell(&mut self, line: &str) -> Result<()> {
         let stdin = self.child.stdin.as_mut().with_context(|| format!("{} does not listen", self.name))?;
@@ -176,10 +182,15 @@ impl Program {
 
     /// Asks the program to end, as Ctrl-C does.
     pub fn interrupt(&self) -> Result<()> {
-        let kill = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
+        self.signal("-INT")
+    }
+
+    /// Sends a signal by its name, `-STOP` or `-CONT` for one.
+    pub fn signal(&self, name: &str) -> Result<()> {
+        let kill = Command::new("kill").arg(name).arg(self.child.id().to_string()).status();
         let status = kill.context("starting kill")?;
         if !status.success() {
-            bail!("interrupting {}: kill ended with {status}", self.name);
+            bail!("kill {name} {}: ended with {status}", self.name);
         }
         Ok(())
     }

@@ -61,7 +61,7 @@ fn through_bytes(controller: Controller) -> Station {
             vehicle.advance(now);
         }
         while let Some((_, datagram)) = vehicle.poll() {
-            for event in remote.datagram(&datagram) {
+            for event in remote.datagram(&datagram, now) {
                 let Event::Percept(percept) = event else { continue };
                 if percept.telemetry.tick.0 == scenario.horizon {
                     station.finish(&percept);

@@ -64,6 +64,23 @@ fn parameters_are_listed_read_set_saved_and_loaded() {
     refused(&gcs(address, &["param", "--sysid", "9", "list"]), &["no vehicle 9; heard: 1"]);
 }
 
+/// Five heartbeats are missing: that is said, as is their return, and the flight goes on to its end.
+#[test]
+fn a_link_is_lost_and_regained_in_words_and_the_flight_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (sitl, address) = program::sitl(&["--pace", "realtime", "--ticks", "25"]).unwrap();
+    let (connect, out) = (format!("udpout:{address}"), folder.path().to_str().unwrap());
+    let args = ["fly", "--connect", &connect, "--controller", "rcc", "--ticks", "25", "--out", out];
+    let flight = Program::start("gcs", &args, None).unwrap();
+    flight.logs("vehicle 1 found: ArduPilot, GUIDED, armed").unwrap();
+    sitl.signal("-STOP").unwrap();
+    flight.logs("vehicle 1: link lost, five heartbeats are missing").unwrap();
+    sitl.signal("-CONT").unwrap();
+    flight.logs("vehicle 1: link regained after").unwrap();
+    flight.wait().unwrap().good().unwrap();
+    sitl.wait().unwrap().good().unwrap();
+}
+
 /// Parameters and missions come through whole where every fifth datagram is lost.
 #[test]
 fn a_path_that_loses_a_fifth_costs_patience_alone() {

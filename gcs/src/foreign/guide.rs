@@ -165,7 +165,7 @@ impl Guide {
             since: Duration::ZERO,
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
             decoder: Decoder::default(),
-            fleet: Fleet::default(),
+            fleet: Fleet::paced(foreign.speedup),
             commander: Commander::default(),
             system: foreign.system,
             place: None,
@@ -309,11 +309,7 @@ impl Guide {
             self.next_beat = now + Duration::from_secs(1);
         }
         for news in self.fleet.poll(now) {
-            if let News::Lost(id) = news
-                && Some(id) == self.system
-            {
-                self.fail(news.to_string());
-            }
+            self.news(news, now);
         }
         while let Some((ask, verdict)) = self.commander.take() {
             self.answered(&ask, verdict, &mut datagram, now);

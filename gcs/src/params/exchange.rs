@@ -308,8 +308,9 @@ impl Exchange for Set {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use rand::{RngExt, SeedableRng};
+    use rand::RngExt;
     use sitl::link::decoder::Decoder;
+    use sitl::world::noise::{Noise, Stream};
 
     use super::*;
 
@@ -431,7 +432,7 @@ mod tests {
     #[test]
     fn a_list_is_whole_where_every_fifth_packet_is_lost_at_random() {
         for seed in 0..1000 {
-            let mut random = rand::rngs::StdRng::seed_from_u64(seed);
+            let mut random = Noise::new(seed).generator(Stream::Start, 0);
             let mut peer = Peer::new(44, Encoding::CCast);
             let list = run(&mut List::new(VEHICLE, Encoding::CCast), &mut peer, |_| random.random_bool(0.2));
             assert_eq!(list, Ok(peer.params), "seed {seed}");

@@ -96,14 +96,14 @@ fn through(fate: impl Fn(u64) -> Fate) -> (Vec<Percept>, sitl::radio::Fates) {
                     }
                     continue;
                 }
-                for event in remote.datagram(&bytes) {
+                for event in remote.datagram(&bytes, now) {
                     match event {
                         Event::Percept(percept) => {
                             down.push_back(remote.command(&pilot(&percept)));
                             percepts.push(percept);
                         }
                         Event::Repeat(_) => down.extend(remote.repeat()),
-                        Event::Text(..) | Event::LeftGuided(_) => {}
+                        Event::Text(..) | Event::News(_) | Event::LeftGuided(_) => {}
                     }
                 }
             }
@@ -152,7 +152,7 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
         vehicle.datagram(bytes, station, Duration::ZERO);
     }
     while let Some((_, bytes)) = vehicle.poll() {
-        for event in remote.datagram(&bytes) {
+        for event in remote.datagram(&bytes, Duration::ZERO) {
             if let Event::Percept(percept) = event {
                 sent.push(remote.command(&pilot(&percept)));
             }
@@ -172,15 +172,38 @@ fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
     let (mut ours, mut other) = (Encoder::new(9, 1), Encoder::new(8, 1));
     let mut heartbeat = |encoder: &mut Encoder, custom_mode| {
         let mut bytes = Vec::new();
-        encoder.push(&mut bytes, &dialect::HEARTBEAT_DATA { custom_mode, ..Default::default() });
-        remote.datagram(&bytes)
+        let autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
+        encoder.push(&mut bytes, &dialect::HEARTBEAT_DATA { custom_mode, autopilot, ..Default::default() });
+        let events = remote.datagram(&bytes, Duration::ZERO);
+        events.iter().any(|event| matches!(event, Event::LeftGuided(mode) if mode.custom == 9))
     };
-    assert_eq!(heartbeat(&mut ours, 0), []);
-    assert_eq!(heartbeat(&mut ours, 4), []);
-    assert_eq!(heartbeat(&mut other, 4), []);
-    assert_eq!(heartbeat(&mut other, 9), []);
-    assert_eq!(heartbeat(&mut ours, 9), [Event::LeftGuided(9)]);
-    assert_eq!(heartbeat(&mut ours, 9), []);
+    for (ours_speaks, mode, left) in [
+        (true, 0, false),
+        (true, 4, false),
+        (false, 4, false),
+        (false, 9, false),
+        (true, 9, true),
+        (true, 9, false),
+    ] {
+        assert_eq!(heartbeat(if ours_speaks { &mut ours } else { &mut other }, mode), left);
+    }
+}
+
+#[test]
+fn a_link_is_lost_after_five_heartbeats_and_regained() {
+    let mut remote = Remote::new(&scenario());
+    let mut vehicle = Encoder::new(9, 1);
+    let mut heartbeat = |remote: &mut Remote, seconds| {
+        let mut bytes = Vec::new();
+        vehicle.push(&mut bytes, &dialect::HEARTBEAT_DATA::default());
+        remote.datagram(&bytes, Duration::from_secs(seconds))
+    };
+    assert!(matches!(heartbeat(&mut remote, 0)[..], [Event::News(News::Found(9, ..))]));
+    assert_eq!(remote.poll(Duration::from_secs(5)), []);
+    assert_eq!(remote.poll(Duration::from_secs(6)), [News::Lost(9)]);
+    assert!(remote.is_lost());
+    assert_eq!(heartbeat(&mut remote, 8), [Event::News(News::Regained(9, Duration::from_secs(8)))]);
+    assert!(!remote.is_lost());
 }
 
 #[test]
@@ -193,7 +216,7 @@ fn another_vehicle_on_the_same_link_is_not_ours() {
         vehicle.datagram(&other.image_request(), station, Duration::ZERO);
         let sent: Vec<_> = std::iter::from_fn(|| vehicle.poll()).collect();
         sent.iter()
-            .flat_map(|(_, bytes)| remote.datagram(bytes))
+            .flat_map(|(_, bytes)| remote.datagram(bytes, Duration::ZERO))
             .filter(|e| matches!(e, Event::Percept(_)))
             .count()
     };
@@ -206,6 +229,6 @@ proptest! {
     #[test]
     fn junk_never_panics(junk in prop::collection::vec(any::<u8>(), 0..1500)) {
         let mut remote = Remote::new(&scenario());
-        prop_assert!(remote.datagram(&junk).is_empty());
+        prop_assert!(remote.datagram(&junk, Duration::ZERO).is_empty());
     }
 }
