@@ -25,7 +25,7 @@ use anyhow::Result;
 use sitl::link::endpoint::Endpoint;
 use tokio::time::{Instant, interval_at};
 
-use hub::Hub;
+use hub::{Hub, Side};
 use router::Notice;
 
 /// Flags of `gcs bridge`.
@@ -37,6 +37,10 @@ pub struct Bridge {
     /// Who shares it: the same kinds, as many as are wanted
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
     out: Vec<Endpoint>,
+    /// Sign what goes to the vehicle and pass on only what it has signed, by the key in a file: TOML with
+    /// `key` (64 hexadecimal digits) or `passphrase`; those who share it need none
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
     /// Serve counters to Prometheus at http://ADDR/metrics
     #[arg(long, value_name = "ADDR")]
     metrics: Option<SocketAddr>,
@@ -48,12 +52,19 @@ pub struct Bridge {
     stats: u64,
 }
 
+/// How often the log and the timestamps of signatures are written.
+const SAVE: Duration = Duration::from_secs(1);
+
 /// Routes until Ctrl-C, then prints the counters.
 pub async fn run(args: Bridge) -> Result<()> {
     let mut hub = Hub::default();
-    for (role, endpoints) in [("master", &args.master), ("out", &args.out)] {
+    if let Some(path) = &args.signing_key {
+        hub.seal_masters(path)?;
+    }
+    let sides = [("master", Side::Master, &args.master), ("out", Side::Out, &args.out)];
+    for (role, side, endpoints) in sides {
         for endpoint in endpoints {
-            say(&format!("{role}: {}", hub.open(endpoint).await?));
+            say(&format!("{role}: {}", hub.open_on(endpoint, side).await?));
         }
     }
     if let Some(path) = &args.tlog {
@@ -66,7 +77,7 @@ pub async fn run(args: Bridge) -> Result<()> {
         scrapes = Some(requests);
     }
     route(&mut hub, scrapes, Duration::from_secs(args.stats)).await?;
-    hub.flush_log()?;
+    hub.close()?;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
     Ok(())
 }
@@ -76,18 +87,19 @@ async fn route(
     mut scrapes: Option<tokio::sync::mpsc::Receiver<metrics::Scrape>>,
     period: Duration,
 ) -> Result<()> {
-    let print = !period.is_zero();
-    let every = if print { period } else { Duration::from_secs(1) };
-    let mut tick = interval_at(Instant::now() + every, every);
+    let mut tick = interval_at(Instant::now() + SAVE, SAVE);
+    let mut printed = Instant::now();
     let mut before = Vec::new();
     let mut interrupted = std::pin::pin!(sitl::cli::interrupted());
     loop {
         tokio::select! {
             done = hub.turn() => done?,
             _ = tick.tick() => {
-                hub.flush_log()?;
-                if print {
-                    say(&counters::table(&hub.rows(), &before, every));
+                hub.save()?;
+                let since = printed.elapsed();
+                if !period.is_zero() && since >= period {
+                    printed = Instant::now();
+                    say(&counters::table(&hub.rows(), &before, since));
                     before = hub.rows().iter().map(|r| (r.counters.received(), r.counters.sent_frames)).collect();
                 }
             }

@@ -2,14 +2,16 @@
 //!
 //! Each flight has its own vehicle with the same seed, so every controller meets the same gusts.
 
-use std::path::Path;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use sitl::Scenario;
 use sitl::cli::Pace;
 use sitl::link::endpoint::Endpoint;
+use sitl::link::signing::{Policy, Store};
 use tokio::io::{AsyncBufReadExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
@@ -43,12 +45,17 @@ impl Vehicle {
             Pace::Lockstep => "lockstep",
             Pace::Realtime => "realtime",
         };
+        let signing = flight.signing_key.map(vehicle_key).transpose()?;
+        let signing = signing.iter().flat_map(|path| {
+            [OsStr::new("--signing"), OsStr::new("required"), OsStr::new("--signing-key"), path.as_os_str()]
+        });
         let mut child = Command::new(program)
             .args(["sitl", "--listen", "udpin:127.0.0.1:0", "--pace", pace])
             .args(["--seed", &flight.seed.to_string(), "--ticks", &flight.scenario.horizon.to_string()])
             .args(["--speedup", &flight.speedup.to_string()])
             .arg("--config")
             .arg(config)
+            .args(signing)
             .env("RUST_LOG", "warn")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -78,6 +85,19 @@ impl Vehicle {
     }
 }
 
+/// The vehicle's own file beside the station's: the same key, and timestamps that go on.
+fn vehicle_key(path: &Path) -> Result<PathBuf> {
+    let ours = Store::new(path);
+    let wanted = ours.load(Policy::Required)?;
+    ensure!(wanted.is_on(), "--signing-key: there is no key in {}", path.display());
+    let theirs = ours.of_system(1);
+    // The vehicle is the demo's own: it follows when the station's key is another one than before.
+    if !theirs.load(Policy::Required)?.shares_key_with(&wanted) {
+        theirs.save(&wanted, true)?;
+    }
+    Ok(theirs.path().to_path_buf())
+}
+
 /// One flight to fly.
 #[derive(Debug, Clone, Copy)]
 pub struct Flight<'a> {
@@ -91,6 +111,8 @@ pub struct Flight<'a> {
     pub pace: Pace,
     /// Times real time, where the pace is real time.
     pub speedup: f64,
+    /// File with the key of message signing, if the flight is signed.
+    pub signing_key: Option<&'a Path>,
     /// Who watches.
     pub outs: &'a [Endpoint],
 }
@@ -103,6 +125,7 @@ pub async fn fly(brain: &Brain, flight: &Flight<'_>, dir: &Path) -> Result<Optio
     let options = Options {
         ticks: Some(flight.scenario.horizon),
         tlog: Some(dir.join("flight.tlog")),
+        signing_key: flight.signing_key.map(Path::to_path_buf),
         outs: flight.outs.to_vec(),
         ..Options::default()
     };

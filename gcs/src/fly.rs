@@ -244,6 +244,7 @@ impl<'a> Shell<'a> {
     }
 
     async fn beat(&mut self) -> Result<()> {
+        self.hub.save()?;
         let datagram = self.remote.heartbeat();
         self.hub.send(&datagram).await
     }
@@ -287,7 +288,7 @@ impl<'a> Shell<'a> {
     }
 
     fn end(mut self, ended: Ended) -> Result<Flight> {
-        self.hub.flush_log()?;
+        self.hub.close()?;
         let held_back = self.flight.held_back.max(self.hub.router().held_back());
         let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
         let (packets, misfits) = (self.hub.counts(), self.remote.misfits());

@@ -123,7 +123,7 @@ pub async fn fly(
 }
 
 fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
-    hub.flush_log()?;
+    hub.close()?;
     let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
     Ok(Flight { ended, packets: hub.counts(), lost, held_back: hub.router().held_back(), ..flight })
 }

@@ -106,6 +106,10 @@ struct Demo {
     /// How many times faster than real time.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     speedup: f64,
+    /// Sign the flight: file with the key, TOML with `key` (64 hexadecimal digits) or `passphrase`; the
+    /// vehicle, which then takes nothing unsigned, keeps its own in FILE.1
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
     /// Folder for the run folders, one a controller [default: runs/demo]; or who may watch the flights:
     /// udpout:HOST:PORT and the like, several if given again
     #[arg(long, value_name = "DIR|ENDPOINT")]
@@ -182,6 +186,7 @@ async fn demo(args: Demo) -> Result<()> {
             seed: args.seed,
             pace: args.pace,
             speedup: args.speedup,
+            signing_key: args.signing_key.as_deref(),
             outs: &outs,
         };
         let dir = out.join(controller.to_string());

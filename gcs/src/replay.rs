@@ -35,6 +35,9 @@ pub struct Replay {
     /// How many times faster than it was
     #[arg(long, value_name = "X", default_value = "1", value_parser = sitl::cli::parse_speedup)]
     speed: f64,
+    /// Sign what is sent: file with the key of message signing, TOML with `key` or `passphrase`
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
     /// Send what stations said, too
     #[arg(long)]
     all: bool,
@@ -48,6 +51,9 @@ pub async fn run(args: Replay) -> Result<()> {
     let script = script(&args.file, args.all)?;
     let mut hub = Hub::default();
     hub.local();
+    if let Some(path) = &args.signing_key {
+        hub.sign_with(path)?;
+    }
     for out in &args.out {
         println!("out: {}", hub.open(out).await?);
     }
@@ -76,6 +82,7 @@ pub async fn run(args: Replay) -> Result<()> {
         hub.send(bytes).await?;
     }
     let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
+    hub.close()?;
     println!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
     Ok(())
 }

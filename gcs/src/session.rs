@@ -229,6 +229,11 @@ impl Session {
         }
     }
 
+    /// Ends the conversation: keeps what must not be forgotten.
+    pub fn close(mut self) -> Result<()> {
+        self.hub.close()
+    }
+
     async fn send(&mut self, datagram: &[u8]) -> Result<()> {
         if datagram.is_empty() { Ok(()) } else { self.hub.send(datagram).await }
     }

@@ -76,7 +76,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub save_params: Option<PathBuf>,
     /// File with the key of message signing and its timestamps; a key that comes by SETUP_SIGNING is
-    /// kept there
+    /// kept there. With --instances it is the key of all, and vehicle N keeps its own in FILE.N
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
     /// Whether unsigned messages are refused
@@ -174,19 +174,23 @@ impl Args {
         Ok(shells)
     }
 
-    /// Key and timestamps, and their file.
-    fn signing(&self) -> Result<Option<(Signing, Store)>> {
+    /// Key and timestamps of each vehicle, and their files; none without a key.
+    fn signing(&self) -> Result<Vec<(Signing, Store)>> {
         let policy = Policy::from(self.signing);
         let Some(path) = &self.signing_key else {
             anyhow::ensure!(policy == Policy::Optional, "--signing required needs --signing-key FILE");
-            return Ok(None);
+            return Ok(Vec::new());
         };
-        anyhow::ensure!(self.instances == 1, "--signing-key is for one vehicle, not for --instances");
-        let store = Store::new(path);
-        let signing = store.load(policy)?;
-        let has_key = signing.is_on() || policy == Policy::Optional;
-        anyhow::ensure!(has_key, "--signing required: there is no key in {}", path.display());
-        Ok(Some((signing, store)))
+        let shared = Store::new(path);
+        let keys = (0..self.instances).map(|index| {
+            let several = self.instances > 1;
+            let store = if several { shared.of_system(self.sysid + index) } else { shared.clone() };
+            let signing = store.load_or(&shared, policy)?;
+            let has_key = signing.is_on() || policy == Policy::Optional;
+            anyhow::ensure!(has_key, "--signing required: there is no key in {}", path.display());
+            Ok((signing, store))
+        });
+        keys.collect()
     }
 }
 
@@ -196,13 +200,14 @@ pub async fn run(args: Args) -> Result<()> {
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speedup)
         .context("the control interval divided by --speedup")?
         .max(Duration::from_micros(1));
-    let signing = args.signing()?;
     let mut shells = args.shells(&scenario).await?;
+    let mut keys = args.signing()?.into_iter();
+    for shell in &mut shells {
+        let vehicles = shell.vehicles().len();
+        shell.keep_signing(keys.by_ref().take(vehicles));
+    }
     for line in shells.iter().flat_map(Shell::describe) {
         say(&line);
-    }
-    if let Some((signing, store)) = signing {
-        shells[0].keep_signing(signing, store);
     }
     tracing::info!(scenario = scenario.name, seed = args.seed, pace = ?args.pace, "waiting for a ground station");
 
@@ -411,7 +416,8 @@ mod tests {
         assert!(error(&["--signing", "required"]).contains("needs --signing-key"));
         let flags = ["--signing", "required", "--signing-key", "/nowhere/key"];
         assert_eq!(error(&flags), "--signing required: there is no key in /nowhere/key");
-        assert!(error(&["--instances", "2", "--signing-key", "/nowhere/key"]).contains("for one vehicle"));
+        let flags = ["--instances", "2", "--signing", "required", "--signing-key", "/nowhere/key"];
+        assert_eq!(error(&flags), "--signing required: there is no key in /nowhere/key");
 
         let path = std::env::temp_dir().join(format!("sitl-{}.param", std::process::id()));
         let file = path.to_str().unwrap();

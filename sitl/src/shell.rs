@@ -75,7 +75,8 @@ pub struct Shell {
     start: Instant,
     buffer: Vec<u8>,
     lateness: Histogram,
-    store: Option<Store>,
+    /// Where each vehicle keeps its key, if they do.
+    stores: Vec<Store>,
 }
 
 impl Shell {
@@ -97,13 +98,15 @@ impl Shell {
             }
         }
         let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
-        Self { links, vehicles, start: Instant::now(), buffer, lateness, store: None }
+        Self { links, vehicles, start: Instant::now(), buffer, lateness, stores: Vec::new() }
     }
 
-    /// Gives the first vehicle its key, and keeps key and timestamps in a file.
-    pub fn keep_signing(&mut self, signing: Signing, store: Store) {
-        self.vehicles[0].set_signing(signing);
-        self.store = Some(store);
+    /// Gives the vehicles their keys, in their order, and keeps keys and timestamps in files.
+    pub fn keep_signing(&mut self, keys: impl IntoIterator<Item = (Signing, Store)>) {
+        for (vehicle, (signing, store)) in self.vehicles.iter_mut().zip(keys) {
+            vehicle.set_signing(signing);
+            self.stores.push(store);
+        }
     }
 
     /// What each endpoint does, for a person.
@@ -225,16 +228,18 @@ impl Shell {
 
     fn beat(&mut self) {
         self.vehicles.iter_mut().for_each(Vehicle::beat);
-        if self.vehicles[0].signing_mut().take_changed() {
-            self.save_signing(false);
-        }
+        self.save_signing(false);
     }
 
-    /// Writes key and timestamps to their file, if there is one; `clean` at the end.
-    pub fn save_signing(&mut self, clean: bool) {
-        let Some(store) = &self.store else { return };
-        if let Err(error) = store.save(self.vehicles[0].signing_mut(), clean) {
-            tracing::warn!("{error}");
+    /// Writes keys and timestamps that have changed to their files, if there are any; all at the `end`.
+    pub fn save_signing(&mut self, end: bool) {
+        for (vehicle, store) in self.vehicles.iter_mut().zip(&self.stores) {
+            let signing = vehicle.signing_mut();
+            if (signing.take_changed() || end)
+                && let Err(error) = store.save(signing, end)
+            {
+                tracing::warn!("{error}");
+            }
         }
     }
 

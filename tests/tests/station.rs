@@ -141,6 +141,59 @@ fn places(text: &str) -> Vec<(String, String)> {
     rows.map(|row| (row[8].to_owned(), row[9].to_owned())).collect()
 }
 
+/// One key for a fleet, each vehicle with its own file; a bridge with the key serves tools without.
+#[test]
+fn a_fleet_shares_a_key_and_a_bridge_ends_the_signed_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let key = |name: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, "passphrase = \"under the apple tree\"\n").unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let fleet = key("fleet.toml");
+    let signed = ["--pace", "realtime", "--signing", "required", "--signing-key", &fleet];
+    let (sitl, address) = program::sitl(&[&signed[..], &["--instances", "2", "--shared"]].concat()).unwrap();
+    let ours = key("ours.toml");
+    for system in ["1", "2"] {
+        let asked = ["param", "--sysid", system, "--signing-key", &ours, "get", "SCALE_UNIT_M"];
+        assert_eq!(good(address, &asked).trim(), "SCALE_UNIT_M     500");
+    }
+    refused(&gcs(address, &["param", "--patience", "2", "list"]), &["no vehicle heard"]);
+
+    let (master, bridges) = (format!("udpout:{address}"), key("bridge.toml"));
+    let args = ["bridge", "--master", &master, "--out", "udpin:127.0.0.1:0", "--signing-key", &bridges];
+    let bridge = Program::start("gcs", &args, None).unwrap();
+    let out: SocketAddr = bridge.line("out: listening on udpin:").unwrap().parse().unwrap();
+    let value = good(out, &["param", "--sysid", "2", "get", "SCALE_UNIT_M"]);
+    assert_eq!(value.trim(), "SCALE_UNIT_M     500");
+    for program in [sitl, bridge] {
+        program.interrupt().unwrap();
+        program.wait().unwrap().good().unwrap();
+    }
+    for file in ["fleet.1.toml", "fleet.2.toml", "bridge.toml"] {
+        let text = std::fs::read_to_string(folder.path().join(file)).unwrap();
+        assert!(text.contains("clean = true"), "{file}");
+    }
+}
+
+/// The demo's own vehicle has the key, too.
+#[test]
+fn a_signed_demo_flies_as_an_unsigned_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let key = folder.path().join("key.toml");
+    std::fs::write(&key, "passphrase = \"under the apple tree\"\n").unwrap();
+    let flown = |out: &str, more: &[&str]| {
+        let out = folder.path().join(out);
+        let args = ["demo", "--controller", "rcc", "--out", out.to_str().unwrap()];
+        program::run("gcs", &[&args[..], more].concat()).unwrap().good().unwrap();
+        std::fs::read(out.join("rcc/record.jsonl")).unwrap()
+    };
+    let plain = flown("plain", &[]);
+    for k in 0..2 {
+        assert_eq!(flown(&format!("signed-{k}"), &["--signing-key", key.to_str().unwrap()]), plain);
+    }
+}
+
 /// A WPL mission up and down again, as a plan too, and away.
 #[test]
 fn missions_go_up_and_come_down() {

@@ -19,6 +19,8 @@ pub struct Counters {
     pub late: u64,
     /// Frames that came a second time.
     pub duplicates: u64,
+    /// Frames refused for their signatures, or for having none.
+    pub refused: u64,
     /// Frames sent.
     pub sent_frames: u64,
     /// Bytes sent.
@@ -182,12 +184,13 @@ pub fn table(rows: &[Row<'_>], before: &[(u64, u64)], period: Duration) -> Strin
 #[must_use]
 pub fn prometheus(rows: &[Row<'_>], forward: &Histogram, now: Duration) -> String {
     type Value = fn(&Counters) -> f64;
-    let counters: [(&str, &str, Value); 12] = [
+    let counters: [(&str, &str, Value); 13] = [
         ("received_frames", "Good frames received.", |c| c.received() as f64),
         ("received_bytes", "Bytes received.", |c| c.received_bytes as f64),
         ("missing_frames", "Frames not there when a later one of their sender came.", |c| c.missing as f64),
         ("late_frames", "Missing frames that came after all; the rest is lost.", |c| c.late as f64),
         ("duplicate_frames", "Frames received a second time.", |c| c.duplicates as f64),
+        ("refused_frames", "Frames refused for their signatures.", |c| c.refused as f64),
         ("bad_crc_frames", "Frames with a wrong checksum.", |c| c.frames.bad_crc as f64),
         ("truncated_frames", "Frames that ended too early.", |c| c.frames.truncated as f64),
         ("unknown_frames", "Frames of messages that the dialect lacks.", |c| c.frames.unknown as f64),

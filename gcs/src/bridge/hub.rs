@@ -14,7 +14,7 @@ use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result};
-use sitl::link::decoder::Counts;
+use sitl::link::decoder::{Counts, Decoder};
 use sitl::link::endpoint::{Direction, Endpoint, Transport};
 use sitl::link::tlog::Tlog;
 use tokio::net::UdpSocket;
@@ -37,7 +37,17 @@ struct UdpPort {
     socket: UdpSocket,
     /// Whether others than the first peer may speak.
     open: bool,
+    side: Side,
     peers: Vec<Peer>,
+}
+
+/// On which side of the program an endpoint is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// The vehicle's. With a key ([`Hub::seal_masters`]) all is signed on it.
+    Master,
+    /// That of those who share the vehicle.
+    Out,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -66,6 +76,12 @@ pub struct Hub {
     heard: VecDeque<Vec<u8>>,
     tlog: Option<Tlog<BufWriter<File>>>,
     seal: Option<Seal>,
+    /// Signs all that leaves to the vehicle's side, and checks all that comes from there.
+    master_seal: Option<Seal>,
+    /// The links of the vehicle's side, if they are sealed.
+    sealed: BTreeMap<LinkId, Decoder>,
+    /// TCP endpoints of the vehicle's side: how their connections' names begin.
+    master_streams: Vec<String>,
     forward: Histogram,
     start: Instant,
     /// When the last burst was there to be read.
@@ -84,6 +100,9 @@ impl Default for Hub {
             heard: VecDeque::new(),
             tlog: None,
             seal: None,
+            master_seal: None,
+            sealed: BTreeMap::new(),
+            master_streams: Vec::new(),
             forward: Histogram::default(),
             start: Instant::now(),
             arrived: Instant::now(),
@@ -95,8 +114,17 @@ impl Default for Hub {
 impl Hub {
     /// Opens an endpoint; gives it with the port that the system chose, as one line to print.
     pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
+        self.open_on(endpoint, Side::Out).await
+    }
+
+    /// The same on a side; with [`Hub::seal_masters`], call that first.
+    pub async fn open_on(&mut self, endpoint: &Endpoint, side: Side) -> Result<String> {
         if endpoint.transport == Transport::Tcp {
-            return self.streams.open(endpoint).await;
+            let (name, told) = self.streams.open(endpoint).await?;
+            if side == Side::Master {
+                self.master_streams.push(name);
+            }
+            return Ok(told);
         }
         let (socket, peer) = endpoint.open().await?;
         let local = socket.local_addr().context("reading the socket's address")?;
@@ -105,11 +133,12 @@ impl Hub {
         if let Some(address) = peer {
             let link = self.router.add(endpoint.to_string());
             self.exits.insert(link, Exit::Udp(port, address));
+            self.seal_link(link, side, Decoder::default());
             peers.push(Peer { address, link, heard: Duration::ZERO });
         }
         let open = endpoint.direction == Direction::In;
         let name = if open { format!("udpin:{local}") } else { endpoint.to_string() };
-        self.ports.push(UdpPort { endpoint: name.clone(), socket, open, peers });
+        self.ports.push(UdpPort { endpoint: name.clone(), socket, open, side, peers });
         Ok(if open {
             format!("listening on {name}")
         } else {
@@ -138,10 +167,32 @@ impl Hub {
         Ok(())
     }
 
-    /// Hands the tlog, and the timestamps of signatures, to their files.
-    pub fn flush_log(&mut self) -> Result<()> {
+    /// Signs what goes to the vehicle's side, and lets through from there only what is signed, by the key
+    /// in a file: those who share the vehicle need no key.
+    pub fn seal_masters(&mut self, path: &Path) -> Result<()> {
+        self.master_seal = Some(Seal::open(path)?);
+        Ok(())
+    }
+
+    fn seal_link(&mut self, link: LinkId, side: Side, decoder: Decoder) {
+        if side == Side::Master && self.master_seal.is_some() {
+            self.sealed.insert(link, decoder);
+        }
+    }
+
+    /// Hands the tlog, and the timestamps of signatures, to their files; once a second is often enough.
+    pub fn save(&mut self) -> Result<()> {
+        self.write(false)
+    }
+
+    /// The same at the end.
+    pub fn close(&mut self) -> Result<()> {
+        self.write(true)
+    }
+
+    fn write(&mut self, end: bool) -> Result<()> {
         self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")?;
-        self.seal.as_ref().map_or(Ok(()), Seal::close)
+        [&self.seal, &self.master_seal].into_iter().flatten().try_for_each(|seal| seal.save(end))
     }
 
     /// What to keep from whom: see [`Router::hold`]. Only for a program with a link of its own.
@@ -199,7 +250,7 @@ impl Hub {
         loop {
             let datagram = self.heard.pop_front()?;
             let Some(seal) = &mut self.seal else { return Some(datagram) };
-            let good = seal.check(&datagram);
+            let good = seal.check_datagram(&datagram);
             if !good.is_empty() {
                 return Some(good);
             }
@@ -273,7 +324,8 @@ impl Hub {
     /// The link of a peer, which may be new.
     fn peer(&mut self, port: usize, address: SocketAddr) -> Option<LinkId> {
         let now = self.elapsed();
-        let UdpPort { endpoint, open, peers, .. } = &mut self.ports[port];
+        let UdpPort { endpoint, open, side, peers, .. } = &mut self.ports[port];
+        let side = *side;
         if let Some(peer) = peers.iter_mut().find(|peer| peer.address == address) {
             peer.heard = now;
             return Some(peer.link);
@@ -288,11 +340,13 @@ impl Hub {
             let gone = peers.swap_remove(oldest).link;
             self.router.remove(gone);
             self.exits.remove(&gone);
+            self.sealed.remove(&gone);
         }
         let link = self.router.add(format!("{endpoint} < {address}"));
         tracing::info!("{endpoint}: {address} speaks");
         peers.push(Peer { address, link, heard: now });
         self.exits.insert(link, Exit::Udp(port, address));
+        self.seal_link(link, side, Decoder::default());
         Some(link)
     }
 
@@ -301,6 +355,12 @@ impl Hub {
             TcpEvent::Connected { name, writer } => {
                 tracing::info!("{name}: connected");
                 let link = self.router.add(name.clone());
+                let of_master = self.master_streams.iter().any(|of| {
+                    name.strip_prefix(of.as_str())
+                        .is_some_and(|peer| peer.is_empty() || peer.starts_with(" < "))
+                });
+                let side = if of_master { Side::Master } else { Side::Out };
+                self.seal_link(link, side, Decoder::of_stream());
                 self.streams.add(name, link, writer);
                 self.exits.insert(link, Exit::Tcp);
             }
@@ -314,6 +374,7 @@ impl Hub {
                 if let Some(link) = self.streams.remove(&name) {
                     self.router.remove(link);
                     self.exits.remove(&link);
+                    self.sealed.remove(&link);
                 }
             }
         }
@@ -322,8 +383,18 @@ impl Hub {
 
     fn receive(&mut self, from: LinkId, bytes: &[u8]) -> Result<()> {
         let (now, time) = (self.elapsed(), SystemTime::now());
-        let Self { router, tlog, .. } = self;
+        let Self { router, tlog, master_seal, sealed, .. } = self;
         let mut logged = Ok(());
+        let good;
+        let bytes = match (master_seal, sealed.get_mut(&from)) {
+            (Some(seal), Some(decoder)) => {
+                let refused = seal.refused();
+                good = seal.check(decoder, bytes);
+                router.refused(from, seal.refused() - refused);
+                &good[..]
+            }
+            _ => bytes,
+        };
         router.receive(from, bytes, now, |frame| {
             if let (Some(tlog), Ok(())) = (tlog.as_mut(), &logged) {
                 logged = tlog.frame(frame, time);
@@ -333,9 +404,9 @@ impl Hub {
     }
 
     async fn flush(&mut self) {
-        let Self { router, ports, streams, exits, heard, .. } = self;
+        let Self { router, ports, streams, exits, heard, master_seal, sealed, .. } = self;
         let (mut failed, mut blocked) = (Vec::new(), Vec::new());
-        router.flush(|link, datagram| match exits.get(&link) {
+        let mut send = |link, datagram: &[u8]| match exits.get(&link) {
             Some(Exit::Local) => heard.push_back(datagram.to_vec()),
             Some(Exit::Tcp) if streams.send(link, datagram) => {}
             Some(Exit::Tcp) => failed.push((link, datagram.len())),
@@ -350,6 +421,12 @@ impl Hub {
                 }
             },
             None => {}
+        };
+        router.flush(|link, datagram| match master_seal {
+            Some(seal) if sealed.contains_key(&link) => {
+                seal.sign(datagram).iter().for_each(|part| send(link, part));
+            }
+            _ => send(link, datagram),
         });
         for (link, port, address, datagram) in blocked {
             let sent: io::Result<_> = self.ports[port].socket.send_to(&datagram, address).await;

@@ -362,6 +362,13 @@ impl Router {
         }
     }
 
+    /// Frames of a link were refused for their signatures.
+    pub fn refused(&mut self, id: LinkId, frames: u64) {
+        if let Some(link) = self.links.get_mut(&id) {
+            link.counters.refused += frames;
+        }
+    }
+
     /// A datagram could not be sent.
     pub fn not_sent(&mut self, id: LinkId, bytes: usize) {
         if let Some(link) = self.links.get_mut(&id) {

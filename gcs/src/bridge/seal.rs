@@ -1,13 +1,14 @@
 //! Message signing of what this program says and hears: `--signing-key FILE`.
 //!
 //! With a key every frame of ours is signed, and only frames with a right signature are heard (and the
-//! radio's, which the standard excepts). What passes between others passes as it is.
+//! radio's, which the standard excepts). What passes between others passes as it is, but for `gcs bridge
+//! --signing-key`: there the vehicle's side is signed and the other is not.
 
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, ensure};
-use sitl::link::decoder::Decoder;
+use sitl::link::decoder::{Decoder, Packet};
 use sitl::link::signing::{Policy, Signing, Store, timestamp};
 
 /// The link id in our signatures.
@@ -38,10 +39,21 @@ impl Seal {
     }
 
     /// The frames of a datagram that are signed as they must be.
-    pub fn check(&mut self, datagram: &[u8]) -> Vec<u8> {
+    pub fn check_datagram(&mut self, datagram: &[u8]) -> Vec<u8> {
+        let packets = self.decoder.datagram(datagram);
+        self.signed(&packets)
+    }
+
+    /// The same of what has come on a link with a decoder of its own. A message that the dialect does not
+    /// know is not among them: its checksum cannot be told.
+    pub fn check(&mut self, decoder: &mut Decoder, bytes: &[u8]) -> Vec<u8> {
+        self.signed(&decoder.datagram(bytes))
+    }
+
+    fn signed(&mut self, packets: &[Packet]) -> Vec<u8> {
         let mut good = Vec::new();
-        for packet in self.decoder.datagram(datagram) {
-            match self.signing.check(&packet, now()) {
+        for packet in packets {
+            match self.signing.check(packet, now()) {
                 Ok(_) => good.extend_from_slice(&packet.raw),
                 Err(why) => {
                     tracing::debug!(system = packet.system, component = packet.component, "refused: {why}");
@@ -51,9 +63,15 @@ impl Seal {
         good
     }
 
-    /// Writes the timestamps.
-    pub fn close(&self) -> Result<()> {
-        Ok(self.store.save(&self.signing, true)?)
+    /// Frames refused so far.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.signing.rejected().values().sum()
+    }
+
+    /// Writes the timestamps; at the `end`, no later ones are to be reckoned with.
+    pub fn save(&self, end: bool) -> Result<()> {
+        Ok(self.store.save(&self.signing, end)?)
     }
 }
 
@@ -84,11 +102,11 @@ mod tests {
         let mut datagram = Vec::new();
         Encoder::new(255, 190).push(&mut datagram, &HEARTBEAT_DATA::default());
         let signed = ours.sign(&datagram).concat();
-        assert_eq!(theirs.check(&signed), signed);
-        assert!(theirs.check(&signed).is_empty(), "a replay");
-        assert!(stranger.check(&signed).is_empty(), "another key");
-        assert!(theirs.check(&datagram).is_empty(), "unsigned");
-        ours.close().unwrap();
+        assert_eq!(theirs.check_datagram(&signed), signed);
+        assert!(theirs.check_datagram(&signed).is_empty(), "a replay");
+        assert!(stranger.check_datagram(&signed).is_empty(), "another key");
+        assert!(theirs.check_datagram(&datagram).is_empty(), "unsigned");
+        ours.save(true).unwrap();
         let text = std::fs::read_to_string(folder.path().join("ours")).unwrap();
         assert!(text.contains("clean = true"), "{text}");
         let error = Seal::open(&folder.path().join("nowhere")).unwrap_err().to_string();

@@ -57,19 +57,21 @@ impl Default for Streams {
 }
 
 impl Streams {
-    /// Listens, or connects and goes on connecting; gives the line to print.
-    pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
+    /// Listens, or connects and goes on connecting; gives how its connections' names begin, and the line
+    /// to print.
+    pub async fn open(&mut self, endpoint: &Endpoint) -> Result<(String, String)> {
         let address = endpoint.address().await?;
         let sender = self.sender.clone();
         if endpoint.direction == Direction::Out {
             tokio::spawn(connect(endpoint.to_string(), address, sender));
-            return Ok(format!("connecting to {endpoint}"));
+            return Ok((endpoint.to_string(), format!("connecting to {endpoint}")));
         }
         let listener =
             TcpListener::bind(address).await.with_context(|| format!("{endpoint}: binding {address}"))?;
         let name = format!("tcpin:{}", listener.local_addr().context("reading the socket's address")?);
         tokio::spawn(accept(name.clone(), listener, sender));
-        Ok(format!("listening on {name}"))
+        let told = format!("listening on {name}");
+        Ok((name, told))
     }
 
     /// The next event; never ends. Cancel-safe.

@@ -149,6 +149,12 @@ impl Signing {
         self.key.is_some()
     }
 
+    /// Whether both have the same key, or none.
+    #[must_use]
+    pub fn shares_key_with(&self, other: &Self) -> bool {
+        self.key == other.key
+    }
+
     /// Whether unsigned frames are refused.
     #[must_use]
     pub fn is_required(&self) -> bool {
@@ -371,6 +377,24 @@ impl Store {
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The file beside this one that one of several vehicles keeps for itself: `key.7.toml` of `key.toml`.
+    #[must_use]
+    pub fn of_system(&self, system: u8) -> Self {
+        let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+        let (stem, end) = (part(self.path.file_stem()), part(self.path.extension()));
+        let dot = if end.is_empty() { "" } else { "." };
+        Self { path: self.path.with_file_name(format!("{stem}.{system}{dot}{end}")) }
+    }
+
+    /// Key and timestamps; if there is no file, the key of `shared` alone.
+    pub fn load_or(&self, shared: &Self, policy: Policy) -> Result<Signing, StoreError> {
+        if self.path.exists() {
+            return self.load(policy);
+        }
+        let Signing { key, newest, .. } = shared.load(policy)?;
+        Ok(Signing { newest, ..Signing::new(key, policy) })
     }
 
     /// Key and timestamps; no key if there is no file.

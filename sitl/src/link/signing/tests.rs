@@ -166,6 +166,32 @@ fn a_restart_forgets_nothing() {
 }
 
 #[test]
+fn vehicles_that_share_a_key_keep_their_own_timestamps() {
+    let folder = std::env::temp_dir().join(format!("signing-fleet-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let shared = Store::new(&folder.join("key.toml"));
+    std::fs::write(shared.path(), "passphrase = \"hello\"\n").unwrap();
+    let stores = [1, 2].map(|system| shared.of_system(system));
+    assert_eq!(stores[1].path(), folder.join("key.2.toml"));
+    assert_eq!(Store::new(Path::new("key")).of_system(2).path(), Path::new("key.2"));
+    let [mut one, mut two] = stores.each_ref().map(|store| store.load_or(&shared, Policy::Required).unwrap());
+    let frame = signed(NOW);
+    one.check(&frame, NOW).unwrap();
+    for (store, signing) in stores.iter().zip([&one, &two]) {
+        store.save(signing, true).unwrap();
+    }
+    [one, two] = stores.each_ref().map(|store| store.load_or(&shared, Policy::Required).unwrap());
+    assert_eq!(one.check(&frame, NOW), Err(Rejection::Replayed));
+    assert_eq!(two.check(&frame, NOW), Ok(Origin::Signed), "it has not heard it yet");
+    // A key that one of them got by SETUP_SIGNING stays its own.
+    two.set_key(Key::new([7; 32]), 0);
+    stores[1].save(&two, true).unwrap();
+    let keys = stores.each_ref().map(|store| store.load_or(&shared, Policy::Required).unwrap().key);
+    assert_eq!(keys, [Some(key()), Key::new([7; 32])]);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn a_key_is_never_printed() {
     let text = format!("{:?}", signing(Policy::Required));
     assert!(
