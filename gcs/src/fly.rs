@@ -59,6 +59,27 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// Opens the link to the vehicle and those to who else is there.
+    pub async fn open(&self, connect: &Endpoint) -> Result<Hub> {
+        let mut hub = Hub::default();
+        hub.local();
+        let shown = hub.open(connect).await?;
+        tracing::debug!("{shown}");
+        for out in &self.outs {
+            let shown = hub.open(out).await?;
+            tracing::info!("out: {shown}");
+        }
+        if let Some(path) = &self.tlog {
+            hub.log_to(path)?;
+        }
+        if let Some(path) = &self.signing_key {
+            hub.sign_with(path)?;
+        }
+        Ok(hub)
+    }
+}
+
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Ended {
@@ -166,23 +187,10 @@ struct Shell<'a> {
 
 impl<'a> Shell<'a> {
     async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
-        let mut hub = Hub::default();
-        hub.local();
-        hub.open(connect).await?;
-        for out in &options.outs {
-            let shown = hub.open(out).await?;
-            tracing::info!("out: {shown}");
-        }
-        if let Some(path) = &options.tlog {
-            hub.log_to(path)?;
-        }
-        if let Some(path) = &options.signing_key {
-            hub.sign_with(path)?;
-        }
         Ok(Self {
             connect,
             options,
-            hub,
+            hub: options.open(connect).await?,
             remote: Remote::new(scenario),
             first_percept: None,
             last_percept: Instant::now(),

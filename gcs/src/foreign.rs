@@ -54,20 +54,7 @@ pub async fn fly(
     options: &Options,
     mut station: impl FnMut(&Percept) -> Command,
 ) -> Result<Flight> {
-    let mut hub = Hub::default();
-    hub.local();
-    let shown = hub.open(connect).await?;
-    tracing::debug!("{shown}");
-    for out in &options.outs {
-        let shown = hub.open(out).await?;
-        tracing::info!("out: {shown}");
-    }
-    if let Some(path) = &options.tlog {
-        hub.log_to(path)?;
-    }
-    if let Some(path) = &options.signing_key {
-        hub.sign_with(path)?;
-    }
+    let mut hub = options.open(connect).await?;
     let ticks = options.ticks.unwrap_or(scenario.horizon);
     let mut guide = Guide::new(scenario.clone(), foreign, ticks);
     let start = Instant::now();

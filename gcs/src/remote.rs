@@ -11,7 +11,7 @@ use std::time::Duration;
 use sitl::Scenario;
 use sitl::camera::Frame;
 use sitl::link::decoder::{Counts, Decoder, Packet};
-use sitl::link::dialect::{self, MavAutopilot, MavMessage, MavModeFlag, MavSeverity, MavState, MavType};
+use sitl::link::dialect::{self, MavMessage, MavSeverity};
 use sitl::link::encoder::Encoder;
 use sitl::link::image::{self, Reassembler};
 use sitl::link::wire::{self, Clock, TelemetryReader};
@@ -20,6 +20,7 @@ use sitl::msg::{Command, Percept, Telemetry};
 use sitl::units::Tick;
 
 use crate::fleet::{Fleet, Mode, News};
+use crate::session::push_heartbeat;
 
 /// Something worth acting on.
 #[derive(Debug, Clone, PartialEq)]
@@ -174,16 +175,8 @@ impl Remote {
 
     /// The station's heartbeat.
     pub fn heartbeat(&mut self) -> Vec<u8> {
-        let message = dialect::HEARTBEAT_DATA {
-            custom_mode: 0,
-            mavtype: MavType::MAV_TYPE_GCS,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            base_mode: MavModeFlag::empty(),
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-        };
         let mut datagram = Vec::new();
-        self.station.push(&mut datagram, &message);
+        push_heartbeat(&mut self.station, &mut datagram);
         datagram
     }
 

@@ -58,22 +58,35 @@ mod id {
 struct Source {
     heard: Duration,
     sequence: Sequence,
-    /// Fingerprints of its last frames, and when they came.
-    recent: [(u64, Duration); REMEMBERED],
+    /// Fingerprints of its last frames, and when they came; apart, as every frame is compared with all of
+    /// the first and hardly ever with the second.
+    recent: [u64; REMEMBERED],
+    came: [Duration; REMEMBERED],
     next: usize,
 }
 
 impl Source {
     fn new(now: Duration) -> Self {
-        Self { heard: now, sequence: Sequence::default(), recent: [(0, Duration::ZERO); REMEMBERED], next: 0 }
+        Self {
+            heard: now,
+            sequence: Sequence::default(),
+            recent: [0; REMEMBERED],
+            came: [Duration::ZERO; REMEMBERED],
+            next: 0,
+        }
     }
 
     fn remembers(&self, fingerprint: u64, now: Duration) -> bool {
-        self.recent.iter().any(|&(seen, at)| seen == fingerprint && now.saturating_sub(at) < COPY_WITHIN)
+        // Without an early end, so that several are compared at once.
+        if !self.recent.iter().fold(false, |found, &seen| found | (seen == fingerprint)) {
+            return false;
+        }
+        let mut copies = self.recent.iter().zip(&self.came).filter(|&(&seen, _)| seen == fingerprint);
+        copies.any(|(_, &at)| now.saturating_sub(at) < COPY_WITHIN)
     }
 
     fn remember(&mut self, fingerprint: u64, now: Duration) {
-        self.recent[self.next] = (fingerprint, now);
+        (self.recent[self.next], self.came[self.next]) = (fingerprint, now);
         self.next = (self.next + 1) % REMEMBERED;
     }
 }

@@ -172,7 +172,7 @@ fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
     let (mut ours, mut other) = (Encoder::new(9, 1), Encoder::new(8, 1));
     let mut heartbeat = |encoder: &mut Encoder, custom_mode| {
         let mut bytes = Vec::new();
-        let autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
+        let autopilot = dialect::MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
         encoder.push(&mut bytes, &dialect::HEARTBEAT_DATA { custom_mode, autopilot, ..Default::default() });
         let events = remote.datagram(&bytes, Duration::ZERO);
         events.iter().any(|event| matches!(event, Event::LeftGuided(mode) if mode.custom == 9))

@@ -137,24 +137,24 @@ impl Item {
 
     /// MISSION_ITEM.
     pub fn as_float(&self, seq: u16, current: u8, asker: (u8, u8)) -> dialect::MISSION_ITEM_DATA {
-        let [param1, param2, param3, param4] = self.params;
-        let [x, y] = [self.x, self.y].map(|v| (f64::from(v) / per_unit(self.frame)) as f32);
+        let int = self.as_int(seq, current, asker);
+        let [x, y] = [int.x, int.y].map(|v| (f64::from(v) / per_unit(self.frame)) as f32);
         dialect::MISSION_ITEM_DATA {
-            param1,
-            param2,
-            param3,
-            param4,
+            param1: int.param1,
+            param2: int.param2,
+            param3: int.param3,
+            param4: int.param4,
             x,
             y,
-            z: self.z,
-            seq,
-            command: self.typed_command(),
-            target_system: asker.0,
-            target_component: asker.1,
-            frame: self.typed_frame(),
-            current,
-            autocontinue: self.autocontinue,
-            mission_type: MavMissionType::MAV_MISSION_TYPE_MISSION,
+            z: int.z,
+            seq: int.seq,
+            command: int.command,
+            target_system: int.target_system,
+            target_component: int.target_component,
+            frame: int.frame,
+            current: int.current,
+            autocontinue: int.autocontinue,
+            mission_type: int.mission_type,
         }
     }
 
