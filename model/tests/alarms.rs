@@ -66,8 +66,9 @@ fn kaimings_weights_lose_both_bodies() {
 
 #[test]
 fn too_few_pictures_are_told_by_the_eigenvalue() {
-    let mut config = TrainConfig { frames: 1200, ..small() };
-    config.closed_form.ridge_u = 1e-6;
+    // A trunk with mixing noise needs more of them than one without.
+    let mut config = TrainConfig { frames: 3000, ..small() };
+    config.encoder.mix = 0.03;
     let alarms = alarms(&config);
     assert!(alarms.iter().any(|a| matches!(a, Alarm::Eigenvalue(_))), "{alarms:?}");
 }
