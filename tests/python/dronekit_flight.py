@@ -16,7 +16,7 @@ from pymavlink import mavutil  # noqa: E402
 
 mavlink = mavutil.mavlink
 # Reached only by a failure; a busy machine needs less.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 def until(what, holds):

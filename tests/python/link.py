@@ -21,7 +21,7 @@ SET_TX_POWER = mavlink.MAV_CMD_USER_1
 METRES_PER_PIXEL = 5.0
 
 # Reached only by a failure; a busy machine needs less.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 class Picture:

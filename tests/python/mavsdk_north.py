@@ -18,7 +18,7 @@ from mavsdk.plugins.param import ParamError
 from mavsdk.plugins.telemetry import FlightMode, LandedState
 
 # Reached only by a failure; a busy machine needs less.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 EARTH_RADIUS_M = 6_378_137.0
 
 

@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-/// Long enough for anything that a test waits for on a busy machine; reached only by a failure.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Long enough for anything that a test waits for, a whole script of a peer among it, on a slow and busy
+/// machine; reached only by a failure.
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
 /// The folder of this profile's artefacts, such as `target/release`: the running test lies in its
 /// `deps`.
