@@ -27,6 +27,8 @@ pub struct Latents {
     pub y_c_before: [f32; 2],
     /// y_u at the newest picture.
     pub y_u: [f32; 2],
+    /// The same of a second obstacle, in a scenario that has one.
+    pub y_u_second: Option<[f32; 2]>,
 }
 
 /// Latent history and ledger.
@@ -34,6 +36,7 @@ pub struct Latents {
 pub struct Belief {
     controllable: Observer,
     uncontrollable: Observer,
+    second: Option<Observer>,
     /// Report that came with the newest picture.
     newest: Option<Telemetry>,
     latents: Latents,
@@ -50,6 +53,7 @@ impl Belief {
         let [c, u] = world.motions(scenario.dynamics.v_max, scenario.disturbance.kick());
         Self {
             controllable: Observer::new(c, window),
+            second: scenario.second_obstacle.is_some().then(|| Observer::new(u.clone(), window)),
             uncontrollable: Observer::new(u, window),
             newest: None,
             latents: Latents::default(),
@@ -61,13 +65,27 @@ impl Belief {
 
     /// Takes in a picture and the report that came with it.
     pub fn observe(&mut self, world: &WorldModel, telemetry: &Telemetry, frame: &Frame) {
-        let [c, u] = world.see(frame);
         let flown = self.flown(telemetry);
+        let still = vec![Vector2::zeros(); flown.len()];
+        let [c, u] = match &mut self.second {
+            None => world.see(frame),
+            Some(second) => {
+                let [first, [_, other]] = frame.one_obstacle_each().map(|frame| world.see(&frame));
+                second.observe(other, &still);
+                first
+            }
+        };
         self.controllable.observe(c, &flown);
-        self.uncontrollable.observe(u, &vec![Vector2::zeros(); flown.len()]);
+        self.uncontrollable.observe(u, &still);
         let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
         if let (Some(c), Some(u)) = (self.controllable.estimate(), self.uncontrollable.estimate()) {
-            self.latents = Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u: narrow(u.y) };
+            let second = self.second.as_ref().and_then(Observer::estimate);
+            self.latents = Latents {
+                y_c: narrow(c.y),
+                y_c_before: narrow(c.before()),
+                y_u: narrow(u.y),
+                y_u_second: second.map(|u| narrow(u.y)),
+            };
         }
         self.newest = Some(*telemetry);
         self.ledger.hear(telemetry);
@@ -180,6 +198,7 @@ mod tests {
             position: [0.0; 2],
             velocity: [0.0; 2],
             obstacle: [0.0; 2],
+            second_obstacle: None,
             held: held.map(|t| Held { tick: Tick(t), accel: [0.0; 2] }),
             link: Some(LinkReport { snr_db: 0.0, power: TxPower::Low, outage }),
         }

@@ -8,6 +8,7 @@ pub mod crpl_ppc;
 pub mod crpl_rh;
 pub mod rcc;
 pub mod reactive;
+pub mod track;
 pub mod ucc;
 
 use std::sync::Arc;

@@ -18,7 +18,7 @@ use sitl::record::{Metrics, Record};
 use crate::fly::{Ended, Flight};
 use crate::lab::figures;
 use crate::pilot::crpl_exact_latents::Memory;
-use crate::pilot::crpl_rh::CrplRh;
+use crate::pilot::crpl_rh::{self, CrplRh};
 use crate::pilot::{Controller, Pilot, rcc, ucc};
 use crate::station::Station;
 
@@ -68,7 +68,8 @@ impl Brain {
         let policies = self.policies(scenario)?;
         let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
         let stage = Stage::of(&self.world, scenario, &config, 0)?;
-        let budget = RecedingConfig::default();
+        let mut budget = RecedingConfig::default();
+        budget.lookahead.snr_min = crpl_rh::connected(scenario);
         let receding = Receding::new(stage, config.objective, budget, policies.motion.clone());
         Ok(CrplRh::new(receding, policies))
     }

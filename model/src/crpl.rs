@@ -3,7 +3,7 @@
 //! Everything happens in plane coordinates (z = E y, so nothing is lost): the learned predictor
 //! rolls the latents out, the learned heads tell risk and channel, and the chance constraints enter
 //! by barriers. The reverse mode is written by hand; the tests hold it against finite differences
-//! and against burn's autodiff. Rollouts run [`LANES`](crate::kernel::LANES) at a time, blocks of them on all cores.
+//! and against burn's autodiff. Rollouts run [`LANES`] at a time, blocks of them on all cores.
 
 pub(crate) mod lanes;
 
@@ -15,7 +15,7 @@ mod rollout;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::kernel::Lane;
+use crate::kernel::{LANES, Lane};
 use crate::mlp::Mlp;
 pub use area::Area;
 pub use exact::{Exact, Quantity};
@@ -126,8 +126,8 @@ pub struct Plant {
     pub v_max: f32,
     /// Images of the frame's corners (0,0) and (1,1) in y_c.
     pub corners: [[f32; 2]; 2],
-    /// Where the obstacle can be, in y_u; `None` predicts it straight on for ever.
-    pub area: Option<Area>,
+    /// Where each obstacle can be, in y_u; `None` predicts it straight on for ever.
+    pub areas: [Option<Area>; 2],
     /// What the rollout knows of limits.
     pub limits: Limits,
     /// y_g
@@ -138,18 +138,23 @@ pub struct Plant {
     pub gain: Head,
 }
 
-/// Starts and disturbances of [`LANES`](crate::kernel::LANES) rollouts.
+/// Starts and disturbances of [`LANES`] rollouts.
 #[derive(Debug, Clone)]
 pub struct Draws {
     /// y_c at k = 0 and k = -1.
     pub start: [[Lane; 2]; 2],
     /// y_u at k = 0 and k = -1.
     pub obstacle: [[Lane; 2]; 2],
+    /// The same of a second obstacle, where there is one.
+    pub second: Option<[[Lane; 2]; 2]>,
     /// The y_u that the policy is told, if it is not the obstacle's own: one that was trained beside a
     /// standing obstacle has learned nothing of others.
     pub told: Option<[f32; 2]>,
     /// (kick/a_max) w_k, one [Lane; 2] an interval; its length is the horizon H.
     pub wind: Vec<[Lane; 2]>,
+    /// Motions of the first intervals that are not the policy's, one row an interval; for
+    /// [`evaluate`] alone, [`gradient`] takes them for the policy's own.
+    pub opening: Vec<[Option<[f32; 2]>; LANES]>,
 }
 
 /// Rollout-based estimates of one batch.

@@ -5,6 +5,7 @@
 //! better on common random rollouts. Knows latents alone: no position, no simulator.
 
 pub(crate) mod adam;
+mod lookahead;
 mod power;
 mod receding;
 mod stage;
@@ -20,6 +21,7 @@ use crate::kernel::LANES;
 use crate::mlp::Mlp;
 use crate::policy::Policies;
 use adam::{Adam, Mean};
+pub use lookahead::{Lookahead, LookaheadConfig};
 use power::{Sample, executed_power, power_gradient};
 pub use receding::{Receding, RecedingConfig};
 pub use stage::{Encode, Here, Stage};

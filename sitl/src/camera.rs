@@ -1,4 +1,5 @@
-//! World to picture: 100x100 RGB, black background, a blue obstacle and a red UAV drawn over it.
+//! World to picture: 100x100 RGB, black background, a blue obstacle and a red UAV drawn over it; a
+//! second obstacle, where there is one, is green, and where two overlap both colours show.
 //!
 //! Discs have a soft rim and are area-preserving: the sum of a disc's coverage does not depend on
 //! where it falls between the pixels, so its centre of mass is exact. Row = paper y, column = paper
@@ -9,12 +10,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::scenario::Scenario;
 use crate::world::World;
+use crate::world::obstacles::Obstacles;
 
 /// Pixels along each side.
 pub const SIDE: usize = 100;
 
-/// Channels of a pixel: red (UAV), green (empty), blue (obstacle).
+/// Channels of a pixel: red (UAV), green (second obstacle), blue (obstacle).
 pub const CHANNELS: usize = 3;
+
+const RED: usize = 0;
+const GREEN: usize = 1;
+const BLUE: usize = 2;
 
 /// What the camera adds to geometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,6 +72,27 @@ impl Frame {
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * SIDE + x) * CHANNELS;
         [self.bytes[at], self.bytes[at + 1], self.bytes[at + 2]]
+    }
+
+    /// A picture of UAV and two obstacles as two pictures of UAV and one: each obstacle in blue, as an
+    /// encoder of one obstacle knows it. In the order of [`Obstacles`].
+    #[must_use]
+    pub fn one_obstacle_each(&self) -> [Self; 2] {
+        [BLUE, GREEN].map(|channel| {
+            let pixels = self.bytes.chunks_exact(CHANNELS);
+            Self { bytes: pixels.flat_map(|pixel| [pixel[RED], 0, pixel[channel]]).collect() }
+        })
+    }
+
+    /// Puts a disc's coverage into one channel, where `visible` of it is seen.
+    fn paint(&mut self, channel: usize, disc: &Disc, visible: impl Fn(i64, i64) -> f64) {
+        let (columns, rows) = disc.window();
+        for y in rows {
+            for x in columns.clone() {
+                let c = disc.at(x, y) * visible(x, y);
+                self.bytes[(y as usize * SIDE + x as usize) * CHANNELS + channel] = (c * 255.0).round() as u8;
+            }
+        }
     }
 }
 
@@ -126,31 +153,30 @@ impl Disc {
 /// Draws UAV and obstacle at these paper positions.
 #[must_use]
 pub fn render(uav: Vector2<f64>, obstacle: Vector2<f64>, scenario: &Scenario) -> Frame {
+    render_all(uav, &Obstacles { first: obstacle, second: None }, scenario)
+}
+
+/// Draws UAV and all obstacles at these paper positions.
+#[must_use]
+pub fn render_all(uav: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario) -> Frame {
     let px = SIDE as f64;
     let edge = scenario.camera.edge_px;
     let red = Disc::new(uav, scenario.uav_radius * px, edge);
-    let blue = Disc::new(obstacle, scenario.obstacle.radius * px, edge);
     let mut frame = Frame::black();
-    let (columns, rows) = blue.window();
-    for y in rows {
-        for x in columns.clone() {
-            let c = blue.at(x, y) * (1.0 - red.at(x, y));
-            frame.bytes[(y as usize * SIDE + x as usize) * CHANNELS + 2] = (c * 255.0).round() as u8;
-        }
+    let blue = Disc::new(obstacles.first, scenario.obstacle.radius * px, edge);
+    frame.paint(BLUE, &blue, |x, y| 1.0 - red.at(x, y));
+    if let (Some(centre), Some(second)) = (obstacles.second, &scenario.second_obstacle) {
+        let green = Disc::new(centre, second.radius * px, edge);
+        frame.paint(GREEN, &green, |x, y| 1.0 - red.at(x, y));
     }
-    let (columns, rows) = red.window();
-    for y in rows {
-        for x in columns.clone() {
-            frame.bytes[(y as usize * SIDE + x as usize) * CHANNELS] = (red.at(x, y) * 255.0).round() as u8;
-        }
-    }
+    frame.paint(RED, &red, |_, _| 1.0);
     frame
 }
 
 /// The picture of a world.
 #[must_use]
 pub fn picture(world: &World, scenario: &Scenario) -> Frame {
-    render(world.uav.r, world.obstacle.r, scenario)
+    render_all(world.uav.r, &world.obstacles(), scenario)
 }
 
 #[cfg(test)]
@@ -205,6 +231,18 @@ mod tests {
         scenario.camera.edge_px = 1e-3;
         let frame = render(Vector2::new(0.5, 0.2), Vector2::new(0.8, 0.8), &scenario);
         assert!(frame.rgb().chunks_exact(CHANNELS).all(|pixel| pixel[0] == 0));
+    }
+
+    #[test]
+    fn each_of_two_obstacles_is_seen_as_if_it_were_alone() {
+        let scenario = Scenario::from_toml("[second_obstacle]\nposition = [0.5, 0.55]\n").unwrap();
+        let (uav, first, second) =
+            (Vector2::new(0.44, 0.5), scenario.obstacle.position, Vector2::new(0.5, 0.55));
+        let both = render_all(uav, &Obstacles { first, second: Some(second) }, &scenario);
+        // They overlap between their centres, and both colours show.
+        assert_eq!(both.pixel(52, 50), [0, 255, 255]);
+        let alone = [first, second].map(|centre| render(uav, centre, &scenario));
+        assert_eq!(both.one_obstacle_each(), alone);
     }
 
     #[test]

@@ -9,7 +9,8 @@ use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Frame;
-use crate::units::Tick;
+use crate::units::{Scale, Tick};
+use crate::world::obstacles::Obstacles;
 
 /// The paper's motion actions A_s, in the order of the policy's output neurons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -204,10 +205,23 @@ pub struct Telemetry {
     pub velocity: [f32; 2],
     /// Obstacle's north, east, m.
     pub obstacle: [f32; 2],
+    /// The second one's, in a scenario that has one.
+    pub second_obstacle: Option<[f32; 2]>,
     /// What the vehicle flew in the interval that just ended; `None` before the first delivery.
     pub held: Option<Held>,
     /// The radio in the interval that just ended; `None` at tick 0.
     pub link: Option<LinkReport>,
+}
+
+impl Telemetry {
+    /// Where the obstacles are, paper units.
+    #[must_use]
+    pub fn obstacles(&self, scale: &Scale) -> Obstacles {
+        Obstacles {
+            first: scale.paper_from_ned(self.obstacle),
+            second: self.second_obstacle.map(|place| scale.paper_from_ned(place)),
+        }
+    }
 }
 
 /// Everything that the vehicle sends at the start of a control interval.

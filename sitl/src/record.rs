@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::msg::{Command, Telemetry, TxPower};
 use crate::scenario::Scenario;
 use crate::units::Tick;
-use crate::world::{energy, safety};
+use crate::world::energy;
 
 /// Interval k of a flight: what was asked at its start, what had become of it at its end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,6 +38,9 @@ pub struct Record {
     pub v_next: Vector2<f64>,
     /// Obstacle's position at k+1.
     pub obstacle: Vector2<f64>,
+    /// The second one's, in a scenario that has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub second_obstacle: Option<Vector2<f64>>,
     /// Ground-truth collision probability at k+1.
     pub p_coll: f64,
 }
@@ -49,8 +52,7 @@ impl Record {
         let scale = &scenario.scale;
         let normalised = |accel| scale.paper_from_ned_acceleration(accel) / scenario.dynamics.a_max;
         let r_next = scale.paper_from_ned(after.position);
-        let obstacle = scale.paper_from_ned(after.obstacle);
-        let clearance = safety::clearance(r_next, obstacle, scenario.uav_radius, scenario.obstacle.radius);
+        let obstacles = after.obstacles(scale);
         Self {
             tick: before.tick,
             r: scale.paper_from_ned(before.position),
@@ -63,8 +65,9 @@ impl Record {
             flown: after.held.map_or(Vector2::zeros(), |h| normalised(h.accel)),
             r_next,
             v_next: scale.paper_from_ned_velocity(after.velocity),
-            obstacle,
-            p_coll: safety::collision_probability(clearance, scenario.safety.d_min, scenario.safety.softness),
+            obstacle: obstacles.first,
+            second_obstacle: obstacles.second,
+            p_coll: obstacles.collision_probability(r_next, scenario),
         }
     }
 }

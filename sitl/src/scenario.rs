@@ -28,6 +28,9 @@ pub struct Scenario {
     pub uav_radius: f64,
     /// The uncontrollable entity.
     pub obstacle: Obstacle,
+    /// A second one; the paper has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_obstacle: Option<Obstacle>,
     /// Motion of the UAV.
     pub dynamics: Dynamics,
     /// Disturbance of the UAV's speed.
@@ -63,6 +66,7 @@ impl Default for Scenario {
             goal_radius: 0.05,
             uav_radius: 0.02,
             obstacle: Obstacle::default(),
+            second_obstacle: None,
             dynamics: Dynamics::default(),
             disturbance: Disturbance::default(),
             channel: Channel::default(),
@@ -95,6 +99,47 @@ pub struct Obstacle {
 impl Default for Obstacle {
     fn default() -> Self {
         Self { position: Vector2::new(0.5, 0.45), velocity: Vector2::zeros(), radius: 0.10, margin: 0.12 }
+    }
+}
+
+/// An obstacle's keys in a scenario file.
+struct Keys {
+    position: [&'static str; 2],
+    velocity: &'static str,
+    radius: &'static str,
+    margin: &'static str,
+}
+
+const FIRST: Keys = Keys {
+    position: ["obstacle.position[0]", "obstacle.position[1]"],
+    velocity: "obstacle.velocity",
+    radius: "obstacle.radius",
+    margin: "obstacle.margin",
+};
+
+const SECOND: Keys = Keys {
+    position: ["second_obstacle.position[0]", "second_obstacle.position[1]"],
+    velocity: "second_obstacle.velocity",
+    radius: "second_obstacle.radius",
+    margin: "second_obstacle.margin",
+};
+
+impl Obstacle {
+    fn check(&self, key: &Keys) -> Result<(), ScenarioError> {
+        let (radius, margin) = (self.radius, self.margin);
+        check(key.radius, radius, radius > 0.0 && radius <= 1.0, SIZE)?;
+        check(key.margin, margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
+        let (speed, most) = (self.velocity.norm(), (1.0 - 2.0 * margin).min(0.5));
+        let must = "must be at most 0.5 units per interval, and at most 1 - 2 margin";
+        check(key.velocity, speed, speed <= most, must)?;
+        for axis in 0..2 {
+            let (r, v) = (self.position[axis], self.velocity[axis]);
+            check(key.position[axis], r, (0.0..=1.0).contains(&r), UNIT)?;
+            let must = "must be its margin or more from the walls if it moves";
+            let inside = margin..=1.0 - margin;
+            check(key.position[axis], r, v == 0.0 || inside.contains(&r), must)?;
+        }
+        Ok(())
     }
 }
 
@@ -422,8 +467,6 @@ impl Scenario {
     /// Checks every range.
     pub fn check(&self) -> Result<(), ScenarioError> {
         let positive = "must be finite and above 0";
-        let unit = "must lie in [0, 1]";
-        let size = "must be above 0 and at most the width of the frame, 1 unit or 100 px";
         let finite = "must be finite and at least 0";
         for (key, value) in [
             ("scale.metres_per_unit", self.scale.metres_per_unit),
@@ -452,27 +495,23 @@ impl Scenario {
         ] {
             check(key, value, value > 0.0 && value.is_finite(), positive)?;
         }
-        for (key, value, most) in [
-            ("uav_radius", self.uav_radius, 1.0),
-            ("obstacle.radius", self.obstacle.radius, 1.0),
-            ("camera.edge_px", self.camera.edge_px, 100.0),
-        ] {
-            check(key, value, value > 0.0 && value <= most, size)?;
+        for (key, value, most) in
+            [("uav_radius", self.uav_radius, 1.0), ("camera.edge_px", self.camera.edge_px, 100.0)]
+        {
+            check(key, value, value > 0.0 && value <= most, SIZE)?;
         }
         for (key, value) in [
             ("start[0]", self.start.x),
             ("start[1]", self.start.y),
             ("goal[0]", self.goal.x),
             ("goal[1]", self.goal.y),
-            ("obstacle.position[0]", self.obstacle.position.x),
-            ("obstacle.position[1]", self.obstacle.position.y),
             ("channel.base_station[0]", self.channel.base_station.x),
             ("channel.base_station[1]", self.channel.base_station.y),
             ("channel.nlos_attenuation", self.channel.nlos_attenuation),
             ("safety.collision_tolerance", self.safety.collision_tolerance),
             ("safety.outage_tolerance", self.safety.outage_tolerance),
         ] {
-            check(key, value, (0.0..=1.0).contains(&value), unit)?;
+            check(key, value, (0.0..=1.0).contains(&value), UNIT)?;
         }
         for (key, value) in [
             ("disturbance.sigma_c", self.disturbance.sigma_c),
@@ -487,18 +526,12 @@ impl Scenario {
         ] {
             check(key, value, value >= 0.0 && value.is_finite(), finite)?;
         }
-        let margin = self.obstacle.margin;
-        check("obstacle.margin", margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
-        let (speed, most) = (self.obstacle.velocity.norm(), (1.0 - 2.0 * margin).min(0.5));
-        let must = "must be at most 0.5 units per interval, and at most 1 - 2 obstacle.margin";
-        check("obstacle.velocity", speed, speed <= most, must)?;
-        let inside = margin..=1.0 - margin;
-        for (key, r, v) in [
-            ("obstacle.position[0]", self.obstacle.position.x, self.obstacle.velocity.x),
-            ("obstacle.position[1]", self.obstacle.position.y, self.obstacle.velocity.y),
-        ] {
-            let must = "must be obstacle.margin or more from the walls if it moves";
-            check(key, r, v == 0.0 || inside.contains(&r), must)?;
+        self.obstacle.check(&FIRST)?;
+        if let Some(second) = &self.second_obstacle {
+            second.check(&SECOND)?;
+            let apart = (second.position - self.obstacle.position).norm();
+            let must = "must be another place than obstacle.position";
+            check("second_obstacle.position", apart, apart > 0.0, must)?;
         }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
@@ -508,6 +541,9 @@ impl Scenario {
         check("horizon", horizon, horizon >= 1.0, "must be at least 1")
     }
 }
+
+const UNIT: &str = "must lie in [0, 1]";
+const SIZE: &str = "must be above 0 and at most the width of the frame, 1 unit or 100 px";
 
 fn check(key: &'static str, value: f64, good: bool, must: &'static str) -> Result<(), ScenarioError> {
     if good { Ok(()) } else { Err(ScenarioError::Range { key, value, must }) }
@@ -546,6 +582,23 @@ mod tests {
         let text = "[obstacle]\nmargin = 0.45\nvelocity = [0.2, 0.0]\n";
         assert!(error(text).starts_with("obstacle.velocity = 0.2: must be"), "{}", error(text));
         assert!(Scenario::from_toml("[obstacle]\nposition = [0.1, 0.5]\n").is_ok(), "it stands");
+    }
+
+    #[test]
+    fn a_second_obstacle_is_checked_as_the_first_is() {
+        let second = |text: &str| Scenario::from_toml(&format!("[second_obstacle]\n{text}\n"));
+        let scenario = second("position = [0.3, 0.8]\nvelocity = [0.01, 0.0]").unwrap();
+        let again = Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap();
+        assert_eq!(again, scenario);
+        let error = second("position = [0.3, 0.8]\nradius = -1.0").unwrap_err().to_string();
+        assert!(error.starts_with("second_obstacle.radius = -1: must be"), "{error}");
+        let error = second("position = [0.05, 0.5]\nvelocity = [0.01, 0.0]").unwrap_err().to_string();
+        assert!(error.starts_with("second_obstacle.position[0] = 0.05: must be"), "{error}");
+        let error = second("radius = 0.1").unwrap_err().to_string();
+        assert!(error.contains("must be another place"), "{error}");
+        let error = second("postion = [0.3, 0.8]").unwrap_err().to_string();
+        assert!(error.contains("postion"), "{error}");
+        assert!(!toml::to_string(&Scenario::default()).unwrap().contains("second_obstacle"));
     }
 
     #[test]

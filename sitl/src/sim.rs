@@ -156,6 +156,7 @@ impl Sim {
             position: scale.ned_from_paper(self.world.uav.r),
             velocity: scale.ned_from_paper_velocity(self.world.uav.v),
             obstacle: scale.ned_from_paper(self.world.obstacle.r),
+            second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
             held: self.gate.held().filter(|_| self.control == Control::Station),
             link: self.link,
         }

@@ -30,7 +30,7 @@ fn fly(
         let at = format!("{}, step {k}", flight.name());
         let tolerance = if k < exact { 1e-9 } else { 0.05 };
         assert_vector_close(world.uav.r, flight.r[k], tolerance, &at);
-        let present = Present { r: world.uav.r, v: world.uav.v, obstacle: world.obstacle.r, link };
+        let present = Present { r: world.uav.r, v: world.uav.v, obstacles: world.obstacles(), link };
         let (motion, power) = decide(&present);
         if k < exact {
             assert_eq!(motion.vector(), vector(flight.a_commanded[k]), "{at}: motion");

@@ -219,6 +219,7 @@ fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
             r_next: world.uav.r,
             v_next: world.uav.v,
             obstacle: world.obstacle.r,
+            second_obstacle: None,
             p_coll,
         });
     }

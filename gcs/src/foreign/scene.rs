@@ -8,7 +8,7 @@ use sitl::msg::{Command, LinkReport, Percept, Telemetry};
 use sitl::radio::Gate;
 use sitl::scenario::Rule;
 use sitl::units::Tick;
-use sitl::world::dynamics::{State, step_obstacle};
+use sitl::world::dynamics::State;
 use sitl::world::{World, channel};
 
 /// The scene of one flight.
@@ -55,6 +55,7 @@ impl Scene {
             position,
             velocity,
             obstacle: scale.ned_from_paper(self.world.obstacle.r),
+            second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
             held: self.gate.held(),
             link: self.link,
         };
@@ -83,7 +84,7 @@ impl Scene {
 
     /// A control interval passes without a percept, as the clock went on.
     pub fn skip(&mut self) {
-        self.world.obstacle = step_obstacle(self.world.obstacle, self.scenario.obstacle.margin);
+        self.world.step_obstacles(&self.scenario);
         self.tick = self.tick.next();
     }
 

@@ -8,13 +8,17 @@ use plotters::prelude::*;
 use sitl::Scenario;
 use sitl::msg::TxPower;
 use sitl::record::Record;
-use sitl::world::channel;
+use sitl::world::World;
+use sitl::world::obstacles::Obstacles;
 
 use super::plot;
 
 /// Cells of the blockage field along each side.
 const CELLS: usize = 100;
 const LOW: RGBColor = RGBColor(31, 119, 180);
+/// Obstacles as the camera tells them apart.
+const BLUE_BODY: RGBColor = RGBColor(70, 90, 140);
+const GREEN_BODY: RGBColor = RGBColor(70, 130, 90);
 const HIGH: RGBColor = RGBColor(214, 39, 40);
 
 /// Width and height of `path.svg` and `path.png`, px.
@@ -81,8 +85,11 @@ fn draw<B: DrawingBackend>(
         .y_label_area_size(44)
         .build_cartesian_2d(0.0..1.0, 0.0..1.0)
         .map_err(failed)?;
-    let obstacle = records.last().map_or(scenario.obstacle.position, |r| r.obstacle);
-    chart.draw_series(shadow(obstacle, scenario)).map_err(failed)?;
+    let obstacles = records.last().map_or_else(
+        || World::new(scenario).obstacles(),
+        |r| Obstacles { first: r.obstacle, second: r.second_obstacle },
+    );
+    chart.draw_series(shadow(&obstacles, scenario)).map_err(failed)?;
     chart.configure_mesh().disable_mesh().x_desc("x (east)").y_desc("y (north)").draw().map_err(failed)?;
 
     let disc = |r: nalgebra::Vector2<f64>, radius: f64| {
@@ -92,8 +99,13 @@ fn draw<B: DrawingBackend>(
         });
         points.collect::<Vec<_>>()
     };
-    let body = disc(obstacle, scenario.obstacle.radius);
-    chart.draw_series([Polygon::new(body, RGBColor(70, 90, 140).mix(0.8))]).map_err(failed)?;
+    let first = disc(obstacles.first, scenario.obstacle.radius);
+    chart.draw_series([Polygon::new(first, BLUE_BODY.mix(0.8))]).map_err(failed)?;
+    if let Some((centre, second)) = obstacles.second.zip(scenario.second_obstacle.as_ref()) {
+        chart
+            .draw_series([Polygon::new(disc(centre, second.radius), GREEN_BODY.mix(0.8))])
+            .map_err(failed)?;
+    }
     let goal = disc(scenario.goal, scenario.goal_radius);
     chart.draw_series([PathElement::new(goal, GREEN.stroke_width(2))]).map_err(failed)?;
     let bs = (scenario.channel.base_station.x, scenario.channel.base_station.y);
@@ -138,11 +150,11 @@ fn draw<B: DrawingBackend>(
 
 /// The blockage field: neighbours of one grey in a row are one rectangle, and where nothing is blocked
 /// there is none.
-fn shadow(obstacle: nalgebra::Vector2<f64>, scenario: &Scenario) -> Vec<Rectangle<(f64, f64)>> {
+fn shadow(obstacles: &Obstacles, scenario: &Scenario) -> Vec<Rectangle<(f64, f64)>> {
     let cell = 1.0 / CELLS as f64;
     let level = |column: usize, row: usize| {
         let centre = nalgebra::Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * cell;
-        let p = channel::blockage(centre, obstacle, scenario.obstacle.radius, &scenario.channel);
+        let p = obstacles.blockage(centre, scenario);
         (p * (GREYS - 1.0)).round()
     };
     let mut rectangles = Vec::new();

@@ -9,7 +9,7 @@ use sitl::Scenario;
 use sitl::msg::{Motion, TxPower};
 use sitl::world::channel::{self, sigmoid};
 use sitl::world::dynamics::{self, State};
-use sitl::world::safety;
+use sitl::world::obstacles::Obstacles;
 
 use super::reactive::Present;
 
@@ -49,14 +49,16 @@ fn search(now: &Present, scenario: &Scenario) -> Motion {
     for depth in 0..DEPTH {
         nodes = nodes
             .iter()
-            .flat_map(|node| Motion::ALL.map(|motion| hold(node, motion, depth == 0, now.obstacle, scenario)))
+            .flat_map(|node| {
+                Motion::ALL.map(|motion| hold(node, motion, depth == 0, &now.obstacles, scenario))
+            })
             .collect();
         // Stable, so ties go to the earlier node.
         nodes.sort_by(|a, b| a.rank.total_cmp(&b.rank));
         if nodes.len() > 2 * SIDE {
             let mut kept = [0; 2];
             nodes.retain(|node| {
-                let side = usize::from(node.state.r.y > now.obstacle.y);
+                let side = usize::from(node.state.r.y > now.obstacles.first.y);
                 kept[side] += 1;
                 kept[side] <= SIDE
             });
@@ -66,12 +68,12 @@ fn search(now: &Present, scenario: &Scenario) -> Motion {
 }
 
 /// The node after `motion` has been held.
-fn hold(node: &Node, motion: Motion, is_first: bool, obstacle: Vector2<f64>, scenario: &Scenario) -> Node {
+fn hold(node: &Node, motion: Motion, is_first: bool, obstacles: &Obstacles, scenario: &Scenario) -> Node {
     let a = motion.vector();
     let (mut state, mut cost) = (node.state, node.cost);
     for _ in 0..HOLD {
         state = dynamics::step(state, a, Vector2::zeros(), &scenario.dynamics);
-        cost += stage_cost(state.r, a, obstacle, scenario);
+        cost += stage_cost(state.r, a, obstacles, scenario);
     }
     let ahead = state.r + 6.0 * state.v - scenario.goal;
     let rank = cost + 12.0 * LAMBDA[0] * ahead.norm_squared();
@@ -80,13 +82,12 @@ fn hold(node: &Node, motion: Motion, is_first: bool, obstacle: Vector2<f64>, sce
 
 /// λ_g |r - r_g|² + λ_s |a|² + λ_p a_p² + σ(5 (1 - 4 γ/γ_min))/(H δ2) + 5 max(0, p_coll - 0.8 δ1), with
 /// γ at a_p = 1 and the smallest power that suffices.
-fn stage_cost(r: Vector2<f64>, a: Vector2<f64>, obstacle: Vector2<f64>, scenario: &Scenario) -> f64 {
+fn stage_cost(r: Vector2<f64>, a: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario) -> f64 {
     let (limits, snr_min) = (&scenario.safety, scenario.channel.snr_min);
-    let snr = snr_at_low(r, obstacle, scenario);
+    let snr = snr_at_low(r, obstacles, scenario);
     let power = if snr >= HEADROOM * snr_min { TxPower::Low } else { TxPower::High };
     let outage = sigmoid(5.0 * (1.0 - 4.0 * snr / snr_min));
-    let clearance = safety::clearance(r, obstacle, scenario.uav_radius, scenario.obstacle.radius);
-    let risk = safety::collision_probability(clearance, limits.d_min, limits.softness);
+    let risk = obstacles.collision_probability(r, scenario);
     LAMBDA[0] * (r - scenario.goal).norm_squared()
         + LAMBDA[1] * a.norm_squared()
         + LAMBDA[2] * power.level() * power.level()
@@ -94,18 +95,17 @@ fn stage_cost(r: Vector2<f64>, a: Vector2<f64>, obstacle: Vector2<f64>, scenario
         + 5.0 * (risk - 0.8 * limits.collision_tolerance).max(0.0)
 }
 
-fn snr_at_low(r: Vector2<f64>, obstacle: Vector2<f64>, scenario: &Scenario) -> f64 {
-    let gain = channel::gain(r, obstacle, scenario.obstacle.radius, &scenario.channel);
-    channel::snr(gain, TxPower::Low.level(), &scenario.channel).0
+fn snr_at_low(r: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario) -> f64 {
+    channel::snr(obstacles.gain(r, scenario), TxPower::Low.level(), &scenario.channel).0
 }
 
 /// Low if it reaches γ_min with headroom now and in the next intervals of the chosen motion.
 fn power(now: &Present, motion: Motion, scenario: &Scenario) -> TxPower {
     let mut state = State { r: now.r, v: now.v };
-    let mut least = snr_at_low(state.r, now.obstacle, scenario);
+    let mut least = snr_at_low(state.r, &now.obstacles, scenario);
     for _ in 0..POWER_STEPS {
         state = dynamics::step(state, motion.vector(), Vector2::zeros(), &scenario.dynamics);
-        least = least.min(snr_at_low(state.r, now.obstacle, scenario));
+        least = least.min(snr_at_low(state.r, &now.obstacles, scenario));
     }
     if least >= HEADROOM * scenario.channel.snr_min { TxPower::Low } else { TxPower::High }
 }

@@ -3,6 +3,7 @@
 
 use model::world_model::WorldModel;
 use nalgebra::Vector2;
+use sitl::world::obstacles::Obstacles;
 
 use super::reactive::Present;
 use crate::belief::Latents;
@@ -19,7 +20,9 @@ impl Memory {
         let plane = |y: Option<Vector2<f64>>| y.map_or([0.0; 2], |y| [y.x as f32, y.y as f32]);
         let y_c = plane(world.probe.c.invert(now.r));
         let y_c_before = self.before.replace(y_c).unwrap_or(y_c);
-        Latents { y_c, y_c_before, y_u: plane(world.probe.u.invert(now.obstacle)) }
+        let y_u = |place| plane(world.probe.u.invert(place));
+        let Obstacles { first, second } = now.obstacles;
+        Latents { y_c, y_c_before, y_u: y_u(first), y_u_second: second.map(y_u) }
     }
 }
 
@@ -36,7 +39,8 @@ mod tests {
         let mut memory = Memory::default();
         let mut before = None;
         for r in [Vector2::new(0.3, 0.7), Vector2::new(0.33, 0.69)] {
-            let exact = memory.latents(&world, &Present { r, v: Vector2::zeros(), obstacle, link: None });
+            let obstacles = Obstacles { first: obstacle, second: None };
+            let exact = memory.latents(&world, &Present { r, v: Vector2::zeros(), obstacles, link: None });
             let seen = world.encode(&camera::render(r, obstacle, &scenario));
             // A hundredth of the frame is one pixel; the latents' scale is S units a side.
             let px =

@@ -73,7 +73,7 @@ fn rollout(
     let mut u_before = y_u;
     std::array::from_fn(|_| {
         let single = |y: Vector2<f64>| [y.x as f32, y.y as f32];
-        let here = Latents { y_c: single(y_c), y_c_before: single(before), y_u: single(y_u) };
+        let here = Latents { y_c: single(y_c), y_c_before: single(before), y_u: single(y_u), ..now };
         let (motion, _) = crpl::decide(policies, world, here, scenario);
         let step = limit_speed(psi.step_c(y_c, before, motion.vector()) - y_c, reach);
         (y_c, before) = (y_c + step, y_c);

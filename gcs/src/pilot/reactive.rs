@@ -6,7 +6,7 @@ use sitl::Scenario;
 use sitl::msg::{Motion, Telemetry, TxPower};
 use sitl::units::Snr;
 use sitl::world::dynamics::limit_speed;
-use sitl::world::safety::clearance;
+use sitl::world::obstacles::Obstacles;
 
 /// All that a reactive controller may see: the present state, and the radio one interval ago.
 /// Paper units.
@@ -16,8 +16,8 @@ pub struct Present {
     pub r: Vector2<f64>,
     /// v_k
     pub v: Vector2<f64>,
-    /// r_u,k
-    pub obstacle: Vector2<f64>,
+    /// r_u,k, of each obstacle
+    pub obstacles: Obstacles,
     /// γ and a_p of the interval that just ended; `None` at the start.
     pub link: Option<(Snr, TxPower)>,
 }
@@ -30,7 +30,7 @@ impl Present {
         Self {
             r: scale.paper_from_ned(telemetry.position),
             v: scale.paper_from_ned_velocity(telemetry.velocity),
-            obstacle: scale.paper_from_ned(telemetry.obstacle),
+            obstacles: telemetry.obstacles(scale),
             link: telemetry.link.map(|l| (Snr::from_db(f64::from(l.snr_db)), l.power)),
         }
     }
@@ -52,10 +52,7 @@ pub fn look_ahead(now: &Present, steps: u32, least: f64, scenario: &Scenario) ->
         let a = motion.vector();
         let v = limit_speed(now.v + scenario.dynamics.a_max * a, scenario.dynamics.v_max);
         let margin = (1..=steps)
-            .map(|j| {
-                let r = now.r + f64::from(j) * v;
-                clearance(r, now.obstacle, scenario.uav_radius, scenario.obstacle.radius)
-            })
+            .map(|j| now.obstacles.clearance(now.r + f64::from(j) * v, scenario))
             .fold(f64::INFINITY, f64::min);
         let cost = (a - wish).norm_squared();
         if margin >= least { cost } else { 100.0 - 100.0 * margin + 0.001 * cost }

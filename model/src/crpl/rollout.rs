@@ -3,7 +3,7 @@
 use multiversion::multiversion;
 
 use super::lanes::{Back, HIDDEN, probabilities, weight_gradient};
-use super::{Draws, Execution, Limits, Objective, Plant, Setting};
+use super::{Area, Draws, Execution, Limits, Objective, Plant, Setting};
 use crate::kernel::{self, LANES, Lane, ZERO};
 use crate::mlp::Mlp;
 use crate::policy::FEATURES;
@@ -19,8 +19,8 @@ pub(super) struct Trace {
     a: Vec<[Lane; 2]>,
     /// y_{-1}, y_0, ... y_H
     y: Vec<[Lane; 2]>,
-    /// As `y`, of the obstacle.
-    u: Vec<[Lane; 2]>,
+    /// As `y`, of each obstacle: one or two.
+    u: Vec<Vec<[Lane; 2]>>,
     /// Unclipped step y_raw - y_k.
     raw: Vec<[Lane; 2]>,
     /// Collision probability at k+1, and softmin weights.
@@ -93,7 +93,11 @@ pub(super) fn forward(
         p: vec![ZERO; horizon * MOTIONS],
         a: vec![[ZERO; 2]; horizon],
         y: vec![[ZERO; 2]; horizon + 2],
-        u: vec![[ZERO; 2]; horizon + 2],
+        u: std::iter::once(draws.obstacle)
+            .chain(draws.second)
+            .zip(&plant.areas)
+            .map(|(u, area)| drift(plant, area.as_ref(), u, horizon))
+            .collect(),
         raw: vec![[ZERO; 2]; horizon],
         risk: vec![ZERO; horizon],
         weight: vec![ZERO; horizon],
@@ -105,19 +109,15 @@ pub(super) fn forward(
     };
     t.y[0] = draws.start[1];
     t.y[1] = draws.start[0];
-    t.u[0] = draws.obstacle[1];
-    t.u[1] = draws.obstacle[0];
     let (place, speed) = (2.0 / plant.scale, 1.0 / (plant.scale * plant.v_max));
     let goal_weight = (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
     let motion_weight = objective.lambda_motion as f32;
     let power_cost = (objective.lambda_power as f32) * power * power;
     let reach = plant.scale * plant.v_max;
-    // The obstacle as its linear predictor has it, without walls.
-    let (mut straight, mut straight_before) = (t.u[1], t.u[0]);
 
     for k in 0..horizon {
         let (now, before) = (t.y[k + 1], t.y[k]);
-        let told = draws.told.map_or(t.u[k + 1], |y_u| y_u.map(|v| [v; LANES]));
+        let told = draws.told.map_or(t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
         for i in 0..2 {
             for l in 0..LANES {
@@ -135,6 +135,13 @@ pub(super) fn forward(
             let (ax, ay) = if relaxed { (wx, wy) } else { nearest(wx, wy) };
             t.a[k][0][l] = ax;
             t.a[k][1][l] = ay;
+        }
+        if let Some(opening) = draws.opening.get(k) {
+            for (l, a) in opening.iter().enumerate() {
+                if let Some(a) = a {
+                    (t.a[k][0][l], t.a[k][1][l]) = (a[0], a[1]);
+                }
+            }
         }
         let mut pushed = t.a[k];
         for i in 0..2 {
@@ -166,17 +173,40 @@ pub(super) fn forward(
             t.cost[l] += goal_weight * (gx * gx + gy * gy) + motion_weight * effort + power_cost;
         }
         t.y[k + 2] = next;
-        let mut drift = [ZERO; 2];
-        apply(&plant.psi_u[0], &straight, &mut drift);
-        apply(&plant.psi_u[1], &straight_before, &mut drift);
-        (straight, straight_before) = (drift, straight);
-        if let (Limits::Walls, Some(area)) = (plant.limits, &plant.area) {
-            area.reflect(&mut drift);
-        }
-        t.u[k + 2] = drift;
     }
     score(plant, objective, power, &mut t);
     t
+}
+
+/// y_u of an obstacle at -1, 0, ... H: straight as its linear predictor has it, reflected where walls
+/// and margin end.
+#[inline(always)]
+fn drift(
+    plant: &Plant,
+    area: Option<&Area>,
+    [now, before]: [[Lane; 2]; 2],
+    horizon: usize,
+) -> Vec<[Lane; 2]> {
+    let mut u = vec![[ZERO; 2]; horizon + 2];
+    (u[0], u[1]) = (before, now);
+    let (mut straight, mut straight_before) = (now, before);
+    for seen in &mut u[2..] {
+        let mut next = [ZERO; 2];
+        apply(&plant.psi_u[0], &straight, &mut next);
+        apply(&plant.psi_u[1], &straight_before, &mut next);
+        (straight, straight_before) = (next, straight);
+        if let (Limits::Walls, Some(area)) = (plant.limits, area) {
+            area.reflect(&mut next);
+        }
+        *seen = next;
+    }
+    u
+}
+
+/// [y_c, y_u] of one obstacle.
+#[inline(always)]
+fn pair(y: &[Lane; 2], u: &[Lane; 2]) -> [Lane; 4] {
+    [y[0], y[1], u[0], u[1]]
 }
 
 /// Risk at k+1 and channel at k for all k, and the two scores of each rollout.
@@ -188,10 +218,19 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut Trace) {
     let mut riskiest = [0.0f32; LANES];
     for k in 0..horizon {
         let (after, now) = (k + 2, k + 1);
-        let logit = plant.collision.value(&[t.y[after][0], t.y[after][1], t.u[after][0], t.u[after][1]]);
-        let log_gain = plant.gain.value(&[t.y[now][0], t.y[now][1], t.u[now][0], t.u[now][1]]);
+        let logit = plant.collision.value(&pair(&t.y[after], &t.u[0][after]));
+        let mut log_gain = plant.gain.value(&pair(&t.y[now], &t.u[0][now]));
+        t.risk[k] = logit.map(kernel::sigmoid);
+        if let Some(second) = t.u.get(1) {
+            let logit = plant.collision.value(&pair(&t.y[after], &second[after]));
+            let other = plant.gain.value(&pair(&t.y[now], &second[now]));
+            for l in 0..LANES {
+                let p = kernel::sigmoid(logit[l]);
+                t.risk[k][l] = p.mul_add(1.0 - t.risk[k][l], t.risk[k][l]);
+                log_gain[l] = log_gain[l].min(other[l]);
+            }
+        }
         for l in 0..LANES {
-            t.risk[k][l] = kernel::sigmoid(logit[l]);
             riskiest[l] = riskiest[l].max(t.risk[k][l]);
             t.ratio[k][l] = kernel::exp(log_gain[l]) * connected;
             t.outage[k][l] = kernel::sigmoid(alpha * (1.0 - t.ratio[k][l]));
@@ -233,16 +272,21 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Trace) 
                 g[k + 1][i][l] += goal * (t.y[after][i][l] - plant.goal[i]);
             }
         }
-        // s_safe = softmin(1 - p): ds/dp_k = -weight_k; p = sigmoid(logit).
+        // s_safe = softmin(1 - p): ds/dp_k = -weight_k, and p = 1 - Π_i (1 - p_i), p_i = sigmoid(logit_i):
+        // dp/dlogit_i = p_i (1 - p).
         let mut through = ZERO;
-        for l in 0..LANES {
-            through[l] = -share.d_safe * t.weight[k][l] * t.risk[k][l] * (1.0 - t.risk[k][l]);
-        }
-        if through.iter().any(|v| v.abs() > NEGLIGIBLE * share.each) {
-            let d = plant.collision.gradient(&[t.y[after][0], t.y[after][1], t.u[after][0], t.u[after][1]]);
-            for i in 0..2 {
-                for l in 0..LANES {
-                    g[k + 1][i][l] += through[l] * d[i][l];
+        for u in &t.u {
+            let alone = t.u.len() == 1;
+            let own = if alone { t.risk[k] } else { risk(plant, &t.y[after], &u[after]) };
+            for l in 0..LANES {
+                through[l] = -share.d_safe * t.weight[k][l] * own[l] * (1.0 - t.risk[k][l]);
+            }
+            if through.iter().any(|v| v.abs() > NEGLIGIBLE * share.each) {
+                let d = plant.collision.gradient(&pair(&t.y[after], &u[after]));
+                for i in 0..2 {
+                    for l in 0..LANES {
+                        g[k + 1][i][l] += through[l] * d[i][l];
+                    }
                 }
             }
         }
@@ -253,7 +297,7 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Trace) 
         }
         if through.iter().any(|v| v.abs() > NEGLIGIBLE * share.each) {
             let now = k + 1;
-            let d = plant.gain.gradient(&[t.y[now][0], t.y[now][1], t.u[now][0], t.u[now][1]]);
+            let d = gain_slope(plant, &t.y[now], &t.u, now);
             for i in 0..2 {
                 for l in 0..LANES {
                     g[k][i][l] += through[l] * d[i][l];
@@ -262,6 +306,30 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Trace) 
         }
     }
     g
+}
+
+/// Collision probability beside one obstacle.
+#[inline(always)]
+fn risk(plant: &Plant, y: &[Lane; 2], u: &[Lane; 2]) -> Lane {
+    plant.collision.value(&pair(y, u)).map(kernel::sigmoid)
+}
+
+/// Gradient of the log gain at index `now` with respect to y_c: that of the obstacle that blocks more.
+#[inline(always)]
+fn gain_slope(plant: &Plant, y: &[Lane; 2], u: &[Vec<[Lane; 2]>], now: usize) -> [Lane; 2] {
+    let first = pair(y, &u[0][now]);
+    let mut slope = plant.gain.gradient(&first);
+    if let Some(second) = u.get(1) {
+        let second = pair(y, &second[now]);
+        let (a, b) = (plant.gain.value(&first), plant.gain.value(&second));
+        let other = plant.gain.gradient(&second);
+        for l in 0..LANES {
+            if b[l] < a[l] {
+                (slope[0][l], slope[1][l]) = (other[0][l], other[1][l]);
+            }
+        }
+    }
+    slope
 }
 
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]

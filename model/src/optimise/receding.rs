@@ -4,15 +4,16 @@
 //! The budget is counted in iterations, so equal beliefs give equal policies on every machine.
 
 use serde::{Deserialize, Serialize};
+use sitl::msg::Motion;
 use sitl::world::noise::Noise;
 
 use super::adam::Adam;
-use super::{Here, Objective, Stage};
+use super::{Here, Lookahead, LookaheadConfig, Objective, Stage};
 use crate::crpl::{self, Draws, Execution, Setting};
 use crate::mlp::Mlp;
 
 /// The budget. `Default` as argued in docs/choices.md.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecedingConfig {
     /// Intervals from one re-optimisation to the next.
@@ -29,6 +30,8 @@ pub struct RecedingConfig {
     pub eta: f64,
     /// Intervals that a rollout looks ahead at least, near the end of the flight too.
     pub least_horizon: usize,
+    /// What is tried at every interval beside π_s.
+    pub lookahead: LookaheadConfig,
 }
 
 impl Default for RecedingConfig {
@@ -41,6 +44,7 @@ impl Default for RecedingConfig {
             gradient_clip: 1.0,
             eta: 64.0,
             least_horizon: 20,
+            lookahead: LookaheadConfig::default(),
         }
     }
 }
@@ -51,6 +55,7 @@ pub struct Receding {
     stage: Stage,
     objective: Objective,
     config: RecedingConfig,
+    lookahead: Lookahead,
     noise: Noise,
     motion: Mlp,
 }
@@ -59,7 +64,8 @@ impl Receding {
     /// Starts from `motion`, which was optimised for `stage`.
     #[must_use]
     pub fn new(stage: Stage, objective: Objective, config: RecedingConfig, motion: Mlp) -> Self {
-        Self { stage, objective, config, noise: Noise::new(0), motion }
+        let lookahead = Lookahead::new(config.lookahead.clone(), &objective);
+        Self { stage, objective, config, lookahead, noise: Noise::new(0), motion }
     }
 
     /// The policy as it is.
@@ -74,10 +80,18 @@ impl Receding {
         self.stage.obstacle
     }
 
+    /// The motion that beats π_s from `here` on, if one of the openings does; `remaining` intervals
+    /// before the end.
+    #[must_use]
+    pub fn better(&self, here: &Here, remaining: usize) -> Option<Motion> {
+        let ahead = remaining.max(self.config.least_horizon);
+        self.lookahead.best(&self.stage, &self.motion, here, ahead)
+    }
+
     /// Re-optimises at every [`RecedingConfig::every`]th tick, `remaining` intervals before the end.
     /// The new policy is kept if it is better on rollouts that it was not made from.
     pub fn at(&mut self, tick: u64, here: &Here, remaining: usize) {
-        let c = self.config;
+        let c = &self.config;
         if !tick.is_multiple_of(c.every.max(1)) || c.iterations == 0 {
             return;
         }

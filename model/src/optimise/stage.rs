@@ -5,6 +5,7 @@ use nalgebra::Vector2;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+use sitl::scenario::Obstacle;
 use sitl::world::dynamics::limit_speed;
 use sitl::world::noise::{Noise, Stream};
 use sitl::{Scenario, camera};
@@ -25,6 +26,8 @@ pub struct Here {
     pub y_c: [[f32; 2]; 2],
     /// y_u
     pub y_u: [[f32; 2]; 2],
+    /// The same of a second obstacle, where there is one.
+    pub second: Option<[[f32; 2]; 2]>,
 }
 
 /// A scenario seen through the encoder: start pairs, obstacle places.
@@ -75,10 +78,12 @@ impl Stage {
         let there = scenario.obstacle.position;
         plant.goal = place(scenario.goal, there).0;
         plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
-        let margin = scenario.obstacle.margin;
         let corner = |x: f64, y: f64| place(scenario.start, Vector2::new(x, y)).1;
-        let far = 1.0 - margin;
-        plant.area = Area::new(corner(margin, margin), [corner(far, margin), corner(margin, far)]);
+        let area = |o: &Obstacle| {
+            let (near, far) = (o.margin, 1.0 - o.margin);
+            Area::new(corner(near, near), [corner(far, near), corner(near, far)])
+        };
+        plant.areas = [area(&scenario.obstacle), scenario.second_obstacle.as_ref().and_then(area)];
         plant.limits = config.limits;
         let noise = Noise::new(seed);
         let starts = (0..config.starts as u64)
@@ -138,8 +143,10 @@ impl Stage {
                 Draws {
                     start: here.y_c.map(lanes),
                     obstacle: here.y_u.map(lanes),
+                    second: here.second.map(|y_u| y_u.map(lanes)),
                     told: Some(self.obstacle),
                     wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
+                    opening: Vec::new(),
                 }
             })
             .collect()
@@ -176,7 +183,8 @@ impl Stage {
                     })
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
-                Draws { start, obstacle: [fixed, fixed], told: None, wind }
+                let obstacle = [fixed, fixed];
+                Draws { start, obstacle, second: None, told: None, wind, opening: Vec::new() }
             })
             .collect()
     }
@@ -200,7 +208,7 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         scale: world.scale as f32,
         v_max: scenario.dynamics.v_max as f32,
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
-        area: None,
+        areas: [None; 2],
         limits: config.limits,
         goal: [0.0; 2],
         collision,

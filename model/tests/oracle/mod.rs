@@ -36,7 +36,7 @@ pub fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
         scale: 10.0,
         v_max: 0.04,
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
-        area: None,
+        areas: [None; 2],
         limits,
         goal: [4.0, 0.0],
         collision: Head::new(collision, None).expect("a head's widths"),
@@ -64,7 +64,8 @@ pub fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> 
             let before = now.map(|y| y.map(|v| v - 0.1));
             let obstacle = [lane(0.0, 0.1, rng), lane(-0.5, 0.1, rng)];
             let wind = (0..horizon).map(|_| [lane(0.0, 0.8, rng), lane(0.0, 0.8, rng)]).collect();
-            Draws { start: [now, before], obstacle: [obstacle, obstacle], told: None, wind }
+            let obstacle = [obstacle, obstacle];
+            Draws { start: [now, before], obstacle, second: None, told: None, wind, opening: Vec::new() }
         })
         .collect()
 }

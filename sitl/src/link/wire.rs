@@ -5,6 +5,7 @@
 //! | `Telemetry` position, velocity | LOCAL_POSITION_NED | 1 | x, vx north; y, vy east; z, vz down |
 //! | `Telemetry::held` | POSITION_TARGET_LOCAL_NED | 1 | afx north, afy east, m/s²; `time_boot_ms` is *that command's*; mask 3135, or 0x0FFF before the first delivery |
 //! | `Telemetry::obstacle` | DEBUG_VECT `OBSTACLE` | 1 | x north, y east, z radius, m |
+//! | `Telemetry::second_obstacle` | DEBUG_VECT `OBSTACLE_2`, where there is one | 1 | as `OBSTACLE`, before it |
 //! | `LinkReport` (from tick 1 on) | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 68 | dB; 1 or 4; 0 or 1 |
 //! | `LinkReport` for any station | RADIO_STATUS | 68 | rssi = 127 + 2 · SNR in dB, within 0..=254 |
 //! | `Percept::frame` | image protocol, see [`super::image`] | 1 | PNG |
@@ -23,7 +24,7 @@ use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
 use super::{AUTOPILOT, RADIO};
 use crate::msg::{Command, Held, LinkReport, Plan, Telemetry, TxPower};
-use crate::scenario::Scenario;
+use crate::scenario::{Obstacle, Scenario};
 use crate::units::Tick;
 
 /// MAV_CMD_USER_1, here: transmit power of the station's radio.
@@ -41,6 +42,10 @@ const MASK_IGNORES_ACCEL: u16 = 64 | 128 | 256;
 const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
 const MASK_FORCE: u16 = 512;
 
+/// Names of the obstacles' DEBUG_VECTs.
+const OBSTACLE: &str = "OBSTACLE";
+const SECOND_OBSTACLE: &str = "OBSTACLE_2";
+
 const FRAME_LOCAL_NED: u8 = 1;
 /// GLOBAL_RELATIVE_ALT and its old integer twin.
 const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
@@ -52,6 +57,7 @@ const FRAMES_GLOBAL: [u8; 4] = [0, 3, 5, 6];
 pub struct Clock {
     interval_s: f64,
     obstacle_radius_m: f32,
+    second_obstacle_radius_m: Option<f32>,
 }
 
 impl Clock {
@@ -59,9 +65,11 @@ impl Clock {
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let scale = &scenario.scale;
+        let radius_m = |obstacle: &Obstacle| (obstacle.radius * scale.metres_per_unit) as f32;
         Self {
             interval_s: scale.interval_s,
-            obstacle_radius_m: (scenario.obstacle.radius * scale.metres_per_unit) as f32,
+            obstacle_radius_m: radius_m(&scenario.obstacle),
+            second_obstacle_radius_m: scenario.second_obstacle.as_ref().map(radius_m),
         }
     }
 
@@ -96,7 +104,7 @@ pub fn push_telemetry(
 ) {
     push_position(report, clock, vertical, autopilot, datagram);
     push_held(report, clock, autopilot, datagram);
-    push_obstacle(report, clock, autopilot, datagram);
+    push_obstacles(report, clock, autopilot, datagram);
     if let Some(link) = report.link {
         push_link_values(&link, clock.boot_ms(report.tick), radio, datagram);
         push_radio_status(&link, radio, datagram);
@@ -134,16 +142,17 @@ pub fn push_held(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, dat
     autopilot.push(datagram, &target);
 }
 
-/// Appends DEBUG_VECT `OBSTACLE`.
-pub fn push_obstacle(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
-    let obstacle = dialect::DEBUG_VECT_DATA {
-        time_usec: u64::from(clock.boot_ms(report.tick)) * 1000,
-        x: report.obstacle[0],
-        y: report.obstacle[1],
-        z: clock.obstacle_radius_m,
-        name: "OBSTACLE".into(),
+/// Appends DEBUG_VECT `OBSTACLE`, and before it `OBSTACLE_2` where there is a second one: the first
+/// report of a flight ends with `OBSTACLE`.
+pub fn push_obstacles(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let time_usec = u64::from(clock.boot_ms(report.tick)) * 1000;
+    let mut push = |[x, y]: [f32; 2], z: f32, name: &str| {
+        autopilot.push(datagram, &dialect::DEBUG_VECT_DATA { time_usec, x, y, z, name: name.into() });
     };
-    autopilot.push(datagram, &obstacle);
+    if let Some((place, radius)) = report.second_obstacle.zip(clock.second_obstacle_radius_m) {
+        push(place, radius, SECOND_OBSTACLE);
+    }
+    push(report.obstacle, clock.obstacle_radius_m, OBSTACLE);
 }
 
 /// Appends NAMED_VALUE_FLOAT `SNR_DB`, `TXP` and `OUTAGE`.
@@ -190,6 +199,7 @@ struct Open {
     velocity: [f32; 2],
     held: Option<Option<Held>>,
     obstacle: Option<[f32; 2]>,
+    second_obstacle: Option<[f32; 2]>,
     snr_db: Option<f32>,
     power: Option<TxPower>,
     outage: Option<bool>,
@@ -240,6 +250,7 @@ impl Open {
             velocity: finite([fields.f32(16), fields.f32(20)])?,
             held: None,
             obstacle: None,
+            second_obstacle: None,
             snr_db: None,
             power: None,
             outage: None,
@@ -262,11 +273,23 @@ impl Open {
                 };
                 self.held = Some(held);
             }
-            dialect::DEBUG_VECT_DATA::ID if fields.text(20, 10) == "OBSTACLE" => {
+            dialect::DEBUG_VECT_DATA::ID => {
+                let name = fields.text(20, 10);
+                let slot = match name.as_str() {
+                    OBSTACLE => &mut self.obstacle,
+                    SECOND_OBSTACLE => &mut self.second_obstacle,
+                    _ => return Some(()),
+                };
                 if fields.u64(0) != u64::from(self.boot_ms) * 1000 {
                     return None;
                 }
-                self.obstacle = Some(finite([fields.f32(8), fields.f32(12)])?);
+                *slot = Some(finite([fields.f32(8), fields.f32(12)])?);
+                // A vehicle with another number of obstacles flies another scenario.
+                if name == OBSTACLE
+                    && self.second_obstacle.is_some() != clock.second_obstacle_radius_m.is_some()
+                {
+                    return None;
+                }
             }
             dialect::NAMED_VALUE_FLOAT_DATA::ID => {
                 let (stamp, value) = (fields.u32(0), fields.f32(4));
@@ -299,6 +322,7 @@ impl Open {
             position: self.position,
             velocity: self.velocity,
             obstacle: self.obstacle?,
+            second_obstacle: self.second_obstacle,
             held: self.held?,
             link,
         })

@@ -167,7 +167,7 @@ pub(super) static ROWS: &[Row] = &[
         wire::push_held(&state.report, &state.clock, encoder, datagram);
     }),
     percept(dialect::DEBUG_VECT_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
-        wire::push_obstacle(&state.report, &state.clock, encoder, datagram);
+        wire::push_obstacles(&state.report, &state.clock, encoder, datagram);
     }),
     percept(dialect::NAMED_VALUE_FLOAT_DATA::ID, RADIO, |state, encoder, datagram| {
         if let Some(link) = &state.report.link {

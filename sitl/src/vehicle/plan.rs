@@ -25,6 +25,8 @@ use super::modes::Mode;
 use super::{Vehicle, geodesy};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavCmd, MavFrame, MavMissionResult, MavMissionType, MissionState};
+use crate::scenario::Obstacle;
+use crate::world::dynamics::State;
 
 /// What can be flown, by its number.
 const COMMANDS: [(u16, MavCmd); 9] = [
@@ -328,9 +330,14 @@ impl Vehicle {
                 no(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "north or south of the square")
             };
         };
-        let (obstacle, scenario) = (self.sim.world().obstacle, self.sim.scenario());
-        let reach = scenario.obstacle.radius + scenario.uav_radius;
-        if obstacle.v == Vector2::zeros() && (place - obstacle.r).norm() < reach {
+        let (world, scenario) = (self.sim.world(), self.sim.scenario());
+        let first = Some((world.obstacle, &scenario.obstacle));
+        let second = world.second_obstacle.zip(scenario.second_obstacle.as_ref());
+        let is_inside = |(state, obstacle): (State, &Obstacle)| {
+            let reach = obstacle.radius + scenario.uav_radius;
+            state.v == Vector2::zeros() && (place - state.r).norm() < reach
+        };
+        if first.into_iter().chain(second).any(is_inside) {
             return no(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "inside the obstacle");
         }
         Ok(())

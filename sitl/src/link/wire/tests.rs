@@ -25,9 +25,34 @@ fn report(tick: u64) -> Telemetry {
         position: [250.1, 50.2],
         velocity: [-1.5, 12.25],
         obstacle: [225.0, 250.0],
+        second_obstacle: None,
         held: Some(Held { tick: Tick(tick - 1), accel: [10.9375, -0.0] }),
         link: Some(LinkReport { snr_db: -3.21, power: TxPower::High, outage: true }),
     }
+}
+
+#[test]
+fn a_second_obstacle_arrives_where_the_scenario_has_one() {
+    let scenario = Scenario::from_toml("[second_obstacle]\nposition = [0.5, 0.8]\nradius = 0.05\n").unwrap();
+    let two = Clock::new(&scenario);
+    let sent = Telemetry { second_obstacle: Some([400.0, 250.5]), ..report(9) };
+    let packets = |report: &Telemetry, clock: &Clock| {
+        let mut datagram = Vec::new();
+        let (mut autopilot, mut radio) = (Encoder::new(7, AUTOPILOT), Encoder::new(7, RADIO));
+        push_telemetry(report, clock, [-100.0, 0.0], &mut autopilot, &mut radio, &mut datagram);
+        Decoder::default().datagram(&datagram)
+    };
+    let heard = |sent: &[Packet], clock: &Clock| {
+        let mut reader = TelemetryReader::default();
+        (sent.iter().filter_map(|p| reader.push(p, clock)).collect::<Vec<_>>(), reader.malformed())
+    };
+    assert_eq!(heard(&packets(&sent, &two), &two), (vec![sent], 0));
+    // The first report, without a radio's, too.
+    let first = Telemetry { tick: Tick(0), held: None, link: None, ..sent };
+    assert_eq!(heard(&packets(&first, &two), &two), (vec![first], 0));
+    // A station and a vehicle that disagree on the number hear nothing of each other, and count it.
+    assert_eq!(heard(&packets(&sent, &two), &clock()), (vec![], 1));
+    assert_eq!(heard(&packets(&report(9), &clock()), &two), (vec![], 1));
 }
 
 prop_compose! {
@@ -45,6 +70,7 @@ prop_compose! {
             position: [x, y],
             velocity: [vx, vy],
             obstacle: [ox, oy],
+            second_obstacle: None,
             held: behind.map(|b| Held { tick: Tick(tick.saturating_sub(b)), accel: [ax, ay] }),
             link: (tick > 0).then_some(LinkReport { snr_db, power, outage }),
         }
