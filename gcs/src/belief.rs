@@ -53,7 +53,7 @@ impl Belief {
         let [c, u] = world.motions(scenario.dynamics.v_max, scenario.disturbance.kick());
         Self {
             controllable: Observer::new(c, window),
-            second: scenario.second_obstacle.is_some().then(|| Observer::new(u.clone(), window)),
+            second: scenario.second_obstacle.is_some().then(|| Observer::new(u, window)),
             uncontrollable: Observer::new(u, window),
             newest: None,
             latents: Latents::default(),

@@ -85,6 +85,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         None => OptimiseConfig::default(),
     };
     config.check()?;
+    one_obstacle(&scenario)?;
     let world = match &args.checkpoint {
         Some(dir) => WorldModel::load(dir)?,
         None => WorldModel::embedded()?,
@@ -173,6 +174,17 @@ pub struct Check {
     json: bool,
 }
 
+/// Algorithm 1 knows one obstacle, which stands.
+fn one_obstacle(scenario: &Scenario) -> Result<()> {
+    if scenario.second_obstacle.is_some() {
+        bail!(
+            "scenario {:?} has a second_obstacle; Algorithm 1 plans for one, crpl-rh in flight for two",
+            scenario.name
+        );
+    }
+    Ok(())
+}
+
 /// First seed of the flights that check a policy: far from the seeds of sweeps and of training.
 const FIRST_CHECK: u64 = 3_000_000;
 
@@ -182,6 +194,7 @@ pub fn check(args: &Check) -> Result<()> {
         Some(path) => Scenario::load(path)?,
         None => Scenario::numbered(args.scenario)?,
     };
+    one_obstacle(&scenario)?;
     let world = match &args.checkpoint {
         Some(dir) => WorldModel::load(dir)?,
         None => WorldModel::embedded()?,

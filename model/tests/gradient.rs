@@ -9,10 +9,17 @@ use oracle::{by_autodiff, draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-fn slope_by_differences(limits: Limits, seed: u64) -> (f64, f64) {
+fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let plant = plant(limits, &mut rng);
-    let draws = draws(2, 20, &mut rng);
+    let mut draws = draws(2, 20, &mut rng);
+    if obstacles == 2 {
+        // Beside the first, and on its way elsewhere.
+        draws.iter_mut().for_each(|d| {
+            let moved = |by: f32| d.obstacle[0].map(|y| y.map(|v| 0.8 * v + by));
+            d.second = Some([moved(1.0), moved(0.9)]);
+        });
+    }
     // A barrier that is felt: tolerances wide enough that both logarithms are proper.
     let objective =
         Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
@@ -43,12 +50,44 @@ fn slope_by_differences(limits: Limits, seed: u64) -> (f64, f64) {
 #[test]
 fn gradient_agrees_with_finite_differences() {
     for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
-        for seed in 0..4 {
-            let (exact, differences) = slope_by_differences(limits, seed);
+        for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2)]) {
+            let (exact, differences) = slope_by_differences(limits, seed, obstacles);
             let error = (exact - differences).abs() / differences.abs().max(1e-3);
-            assert!(error < 0.02, "{limits:?}, seed {seed}: {exact} by hand, {differences} by differences");
+            let at = format!("{limits:?}, seed {seed}, {obstacles} obstacles");
+            assert!(error < 0.02, "{at}: {exact} by hand, {differences} by differences");
         }
     }
+}
+
+#[test]
+fn a_second_obstacle_on_the_first_ones_place_adds_risk_and_no_shadow() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let plant = plant(Limits::Walls, &mut rng);
+    let mut draws = draws(1, 12, &mut rng);
+    let motion = Policies::untrained(&mut rng).motion;
+    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
+    let (_, one) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    draws[0].second = Some(draws[0].obstacle);
+    let (_, two) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    assert_eq!((&one.cost, &one.comm), (&two.cost, &two.comm));
+    assert!(one.safe.iter().zip(&two.safe).all(|(one, two)| two < one));
+}
+
+#[test]
+fn an_opening_flies_its_own_motions_and_then_the_policys() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let plant = plant(Limits::Plain, &mut rng);
+    let mut draws = draws(1, 12, &mut rng);
+    let motion = Policies::untrained(&mut rng).motion;
+    let setting = Setting { eta: None, power: 4.0, execution: Execution::Nearest };
+    let (_, own) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    // Lane 1 is pushed to the goal, which lies ahead on the first axis; lane 2 away from it.
+    let mut row = [None; LANES];
+    (row[1], row[2]) = (Some([1.0, 0.0]), Some([-1.0, 0.0]));
+    draws[0].opening = vec![row; 4];
+    let (_, opened) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    assert!(opened.cost[1] < own.cost[1] && opened.cost[2] > own.cost[2]);
+    assert_eq!((opened.cost[0], &opened.cost[3..]), (own.cost[0], &own.cost[3..]));
 }
 
 #[test]
