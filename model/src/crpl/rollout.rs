@@ -93,11 +93,7 @@ pub(super) fn forward(
         p: vec![ZERO; horizon * MOTIONS],
         a: vec![[ZERO; 2]; horizon],
         y: vec![[ZERO; 2]; horizon + 2],
-        u: std::iter::once(draws.obstacle)
-            .chain(draws.second)
-            .zip(&plant.areas)
-            .map(|(u, area)| drift(plant, area.as_ref(), u, horizon))
-            .collect(),
+        u: Vec::with_capacity(2),
         raw: vec![[ZERO; 2]; horizon],
         risk: vec![ZERO; horizon],
         weight: vec![ZERO; horizon],
@@ -109,6 +105,10 @@ pub(super) fn forward(
     };
     t.y[0] = draws.start[1];
     t.y[1] = draws.start[0];
+    t.u.push(drift(plant, plant.areas[0].as_ref(), draws.obstacle, horizon));
+    if let Some(second) = draws.second {
+        t.u.push(drift(plant, plant.areas[1].as_ref(), second, horizon));
+    }
     let (place, speed) = (2.0 / plant.scale, 1.0 / (plant.scale * plant.v_max));
     let goal_weight = (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
     let motion_weight = objective.lambda_motion as f32;
@@ -220,7 +220,9 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut Trace) {
         let (after, now) = (k + 2, k + 1);
         let logit = plant.collision.value(&pair(&t.y[after], &t.u[0][after]));
         let mut log_gain = plant.gain.value(&pair(&t.y[now], &t.u[0][now]));
-        t.risk[k] = logit.map(kernel::sigmoid);
+        for l in 0..LANES {
+            t.risk[k][l] = kernel::sigmoid(logit[l]);
+        }
         if let Some(second) = t.u.get(1) {
             let logit = plant.collision.value(&pair(&t.y[after], &second[after]));
             let other = plant.gain.value(&pair(&t.y[now], &second[now]));
@@ -311,7 +313,11 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Trace) 
 /// Collision probability beside one obstacle.
 #[inline(always)]
 fn risk(plant: &Plant, y: &[Lane; 2], u: &[Lane; 2]) -> Lane {
-    plant.collision.value(&pair(y, u)).map(kernel::sigmoid)
+    let mut p = plant.collision.value(&pair(y, u));
+    for v in &mut p {
+        *v = kernel::sigmoid(*v);
+    }
+    p
 }
 
 /// Gradient of the log gain at index `now` with respect to y_c: that of the obstacle that blocks more.
