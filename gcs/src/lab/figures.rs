@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
+use nalgebra::Vector2;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use sitl::Scenario;
@@ -25,6 +26,8 @@ const HIGH: RGBColor = RGBColor(214, 39, 40);
 const PAGE: (u32, u32) = (760, 800);
 /// Width and height beside others, px.
 const PANEL: (u32, u32) = (440, 440);
+/// An obstacle that goes no further stands: what the wire's widths leave, and more.
+const STILL: f64 = 1e-3;
 /// Greys that tell blockage probabilities apart.
 const GREYS: f64 = 21.0;
 
@@ -92,7 +95,7 @@ fn draw<B: DrawingBackend>(
     chart.draw_series(shadow(&obstacles, scenario)).map_err(failed)?;
     chart.configure_mesh().disable_mesh().x_desc("x (east)").y_desc("y (north)").draw().map_err(failed)?;
 
-    let disc = |r: nalgebra::Vector2<f64>, radius: f64| {
+    let disc = |r: Vector2<f64>, radius: f64| {
         let points = (0..=72).map(|n| {
             let angle = f64::from(n) * std::f64::consts::TAU / 72.0;
             (r.x + radius * angle.cos(), r.y + radius * angle.sin())
@@ -105,6 +108,16 @@ fn draw<B: DrawingBackend>(
         chart
             .draw_series([Polygon::new(disc(centre, second.radius), GREEN_BODY.mix(0.8))])
             .map_err(failed)?;
+    }
+    for (track, radius, colour) in tracks(records, scenario) {
+        let met = nearest(records, &track).map(|at| disc(at, radius)).unwrap_or_default();
+        chart.draw_series([PathElement::new(met, colour.stroke_width(2))]).map_err(failed)?;
+        let line: Vec<_> = track.iter().map(|r| (r.x, r.y)).collect();
+        chart
+            .draw_series([PathElement::new(line, colour.stroke_width(1))])
+            .map_err(failed)?
+            .label("obstacle's way; where it was nearest")
+            .legend(move |at| Circle::new(at, 5, colour.stroke_width(2)));
     }
     let goal = disc(scenario.goal, scenario.goal_radius);
     chart.draw_series([PathElement::new(goal, GREEN.stroke_width(2))]).map_err(failed)?;
@@ -148,12 +161,30 @@ fn draw<B: DrawingBackend>(
         .map_err(failed)
 }
 
+/// The centres of each obstacle that moves, interval by interval, with its radius and colour.
+fn tracks(records: &[Record], scenario: &Scenario) -> Vec<(Vec<Vector2<f64>>, f64, RGBColor)> {
+    let first = records.iter().map(|r| r.obstacle).collect();
+    let second = records.iter().filter_map(|r| r.second_obstacle).collect();
+    let radius = scenario.second_obstacle.as_ref().map_or(0.0, |o| o.radius);
+    let mut all = vec![(first, scenario.obstacle.radius, BLUE_BODY), (second, radius, GREEN_BODY)];
+    all.retain(|(track, ..): &(Vec<Vector2<f64>>, f64, RGBColor)| {
+        track.first().is_some_and(|first| track.iter().any(|r| (r - first).norm() > STILL))
+    });
+    all
+}
+
+/// Where an obstacle with this track was when the UAV came nearest to it.
+fn nearest(records: &[Record], track: &[Vector2<f64>]) -> Option<Vector2<f64>> {
+    let pairs = records.iter().map(|r| r.r_next).zip(track);
+    pairs.min_by(|a, b| (a.0 - a.1).norm().total_cmp(&(b.0 - b.1).norm())).map(|(_, at)| *at)
+}
+
 /// The blockage field: neighbours of one grey in a row are one rectangle, and where nothing is blocked
 /// there is none.
 fn shadow(obstacles: &Obstacles, scenario: &Scenario) -> Vec<Rectangle<(f64, f64)>> {
     let cell = 1.0 / CELLS as f64;
     let level = |column: usize, row: usize| {
-        let centre = nalgebra::Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * cell;
+        let centre = Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * cell;
         let p = obstacles.blockage(centre, scenario);
         (p * (GREYS - 1.0)).round()
     };
