@@ -75,7 +75,7 @@ fn two_obstacles_are_read_as_well_as_one() {
         errors.sort_by(f64::total_cmp);
         let (p90, most) = (errors[errors.len() * 9 / 10], errors[errors.len() - 1]);
         println!("{name}: 90th percentile {p90:.3} px, largest {most:.3} px");
-        assert!(p90 < 0.15 && most < 0.6, "{name}: 90th percentile {p90} px, largest {most} px");
+        assert!(p90 < 0.15 && most < 1.0, "{name}: 90th percentile {p90} px, largest {most} px");
     }
 }
 
