@@ -31,7 +31,7 @@ fn riskiest(flights: &[Scored]) -> f64 {
     flights.iter().map(|flight| flight.metrics.p_coll_max).fold(0.0, f64::max)
 }
 
-/// Means over 100 flights: p_coll 0.01 to 0.03, d_f 0.02. The limits here are wide: contact is 0.5.
+/// Means over 20 flights: p_coll 0.01 and 0.02, d_f 0.01 and 0.02. The limits here are wide: contact is 0.5.
 #[test]
 fn crpl_rh_goes_round_what_flies_into_crpl() {
     for name in ["moving_fast.toml", "two_obstacles.toml"] {
