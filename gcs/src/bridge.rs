@@ -77,7 +77,7 @@ pub async fn run(args: Bridge) -> Result<()> {
         scrapes = Some(requests);
     }
     route(&mut hub, scrapes, Duration::from_secs(args.stats)).await?;
-    hub.close()?;
+    hub.close().await?;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
     Ok(())
 }

@@ -135,7 +135,7 @@ pub async fn fly(
                 resend.lengthen();
             }
             _ = beat.tick() => shell.beat().await?,
-            _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted),
+            _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted).await,
         }
         for notice in shell.hub.notices() {
             tell(&notice, &shell.hub);
@@ -268,7 +268,7 @@ impl<'a> Shell<'a> {
             self.hub.send(&datagram).await?;
         }
         self.flight.last = Some(percept);
-        self.end(Ended::Over)
+        self.end(Ended::Over).await
     }
 
     /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
@@ -292,11 +292,11 @@ impl<'a> Shell<'a> {
             }
             self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         }
-        self.end(Ended::TakenOver)
+        self.end(Ended::TakenOver).await
     }
 
-    fn end(mut self, ended: Ended) -> Result<Flight> {
-        self.hub.close()?;
+    async fn end(mut self, ended: Ended) -> Result<Flight> {
+        self.hub.close().await?;
         let held_back = self.flight.held_back.max(self.hub.router().held_back());
         let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
         let (packets, misfits) = (self.hub.counts(), self.remote.misfits());

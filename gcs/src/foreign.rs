@@ -79,10 +79,10 @@ pub async fn fly(
                     flight.last = Some(percept);
                 }
                 Event::Over(percept) => flight.last = Some(percept),
-                Event::Holding => return end(hub, flight, Ended::Over),
+                Event::Holding => return end(hub, flight, Ended::Over).await,
                 Event::TakenOver(why) => {
                     tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
-                    return end(hub, flight, Ended::TakenOver);
+                    return end(hub, flight, Ended::TakenOver).await;
                 }
                 Event::Failed(why) => bail!("{connect}: {why}"),
             }
@@ -94,7 +94,7 @@ pub async fn fly(
             _ = tokio::signal::ctrl_c() => {
                 let datagram = guide.let_go(start.elapsed());
                 hub.send(&datagram).await?;
-                return end(hub, flight, Ended::Interrupted);
+                return end(hub, flight, Ended::Interrupted).await;
             }
         }
         for notice in hub.notices() {
@@ -109,8 +109,8 @@ pub async fn fly(
     }
 }
 
-fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
-    hub.close()?;
+async fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
+    hub.close().await?;
     let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
     Ok(Flight { ended, packets: hub.counts(), lost, held_back: hub.router().held_back(), ..flight })
 }

@@ -94,7 +94,7 @@ pub async fn run(args: Params) -> Result<()> {
             println!("{} parameters in {}", params.len(), file.display());
         }
     }
-    session.close()
+    session.close().await
 }
 
 /// How the vehicle packs integers: as its capabilities say, or as its flight stack does.

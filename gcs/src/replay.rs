@@ -82,7 +82,7 @@ pub async fn run(args: Replay) -> Result<()> {
         hub.send(bytes).await?;
     }
     let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
-    hub.close()?;
+    hub.close().await?;
     println!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
     Ok(())
 }

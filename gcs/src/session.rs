@@ -230,8 +230,8 @@ impl Session {
     }
 
     /// Ends the conversation: keeps what must not be forgotten.
-    pub fn close(mut self) -> Result<()> {
-        self.hub.close()
+    pub async fn close(mut self) -> Result<()> {
+        self.hub.close().await
     }
 
     async fn send(&mut self, datagram: &[u8]) -> Result<()> {

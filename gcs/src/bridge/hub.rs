@@ -185,8 +185,9 @@ impl Hub {
         self.write(false)
     }
 
-    /// The same at the end.
-    pub fn close(&mut self) -> Result<()> {
+    /// The same at the end, when every stream has written what waits.
+    pub async fn close(&mut self) -> Result<()> {
+        self.streams.close().await;
         self.write(true)
     }
 

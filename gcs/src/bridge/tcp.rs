@@ -8,12 +8,14 @@ use sitl::link::endpoint::{Direction, Endpoint};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout};
 
 use super::router::LinkId;
 
 /// Chunks that may wait to be read or written on one connection.
 const QUEUE: usize = 1024;
+/// How long a peer that does not read may hold up the end.
+const LAST_WORDS: Duration = Duration::from_secs(2);
 /// How long after its end or failure a connection is tried again.
 const RETRY: Duration = Duration::from_secs(1);
 
@@ -98,6 +100,19 @@ impl Streams {
     pub fn remove(&mut self, name: &str) -> Option<LinkId> {
         let at = self.open.iter().position(|(other, ..)| other == name)?;
         Some(self.open.swap_remove(at).1)
+    }
+
+    /// Ends all connections when they have written what waits, or after [`LAST_WORDS`].
+    pub async fn close(&mut self) {
+        let mut open: Vec<String> = self.open.drain(..).map(|(name, ..)| name).collect();
+        let _ = timeout(LAST_WORDS, async {
+            while !open.is_empty() {
+                if let TcpEvent::Closed { name } = self.next().await {
+                    open.retain(|other| *other != name);
+                }
+            }
+        })
+        .await;
     }
 
     /// Sends on a link; whether there was room.
