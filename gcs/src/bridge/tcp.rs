@@ -102,7 +102,7 @@ impl Streams {
         Some(self.open.swap_remove(at).1)
     }
 
-    /// Ends all connections when they have written what waits, or after [`LAST_WORDS`].
+    /// Ends all connections when they have written what waits, or after two seconds.
     pub async fn close(&mut self) {
         let mut open: Vec<String> = self.open.drain(..).map(|(name, ..)| name).collect();
         let _ = timeout(LAST_WORDS, async {
