@@ -541,7 +541,9 @@ impl Guide {
                 let last = self.tracked.replace(place.boot).unwrap_or(place.boot);
                 let dt = place.boot.saturating_sub(last).as_secs_f64();
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);
-                let [north, east] = self.tracker.step(self.wish, velocity, dt);
+                let here = [place.position[0], place.position[1]];
+                let room = self.scene.as_ref().map_or([[f64::INFINITY; 2]; 2], |scene| scene.room(here));
+                let [north, east] = self.tracker.step(self.wish, velocity, room, dt);
                 let (z, vz) = (f64::from(place.position[2]), f64::from(place.velocity[2]));
                 message.afx = north as f32;
                 message.afy = east as f32;

@@ -62,6 +62,19 @@ impl Scene {
         Percept { telemetry, frame: camera::picture(&self.world, &self.scenario).into() }
     }
 
+    /// How far it is from `position` to the square's edges: north and east, each downwards and upwards,
+    /// m; negative outside.
+    #[must_use]
+    pub fn room(&self, position: [f32; 2]) -> [[f64; 2]; 2] {
+        let corner = |at| self.scenario.scale.ned_from_paper(Vector2::repeat(at));
+        let (low, high) = (corner(0.0), corner(1.0));
+        std::array::from_fn(|axis| {
+            let here = position[axis] - self.origin[axis];
+            let (low, high) = (low[axis].min(high[axis]), low[axis].max(high[axis]));
+            [f64::from(here - low), f64::from(high - here)]
+        })
+    }
+
     /// How far outside the paper's square the vehicle is, units; negative inside.
     #[must_use]
     pub fn outside(&self) -> f64 {

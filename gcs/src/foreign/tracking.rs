@@ -14,6 +14,8 @@ const DRAG_GAIN: f64 = 2.0;
 const SPEED_ERROR: f64 = 1.5;
 /// Largest acceleration that is learned, m/s².
 const DRAG_LIMIT: f64 = 3.0;
+/// Deceleration that is reckoned with before the square's edge, m/s²: half of what is asked for at most.
+const BRAKING: f64 = LIMIT / 2.0;
 /// Largest acceleration that is asked for on an axis, m/s²: what ArduCopter's tilt gives.
 const LIMIT: f64 = 3.5;
 /// Height error to acceleration, 1/s², and speed to acceleration, 1/s: 0.8 rad/s, well damped.
@@ -37,7 +39,9 @@ impl Tracker {
     }
 
     /// `dt` seconds pass with the acceleration `wish`, at the speed `velocity`; what to ask for, m/s².
-    pub fn step(&mut self, wish: [f64; 2], velocity: [f64; 2], dt: f64) -> [f64; 2] {
+    /// `room` is how far it is to the edges on each axis, downwards and upwards, m: as the paper's walls
+    /// do, they end the speed towards them.
+    pub fn step(&mut self, mut wish: [f64; 2], velocity: [f64; 2], room: [[f64; 2]; 2], dt: f64) -> [f64; 2] {
         for axis in 0..2 {
             let reference = self.reference[axis] + wish[axis] * dt;
             self.reference[axis] =
@@ -46,6 +50,13 @@ impl Tracker {
         let speed = self.reference[0].hypot(self.reference[1]);
         if speed > self.v_max {
             self.reference = self.reference.map(|v| v * self.v_max / speed);
+        }
+        for axis in 0..2 {
+            let [down, up] = room[axis].map(|room| (2.0 * BRAKING * room.max(0.0)).sqrt());
+            let allowed = self.reference[axis].clamp(-down, up);
+            if allowed != self.reference[axis] {
+                (self.reference[axis], wish[axis]) = (allowed, 0.0);
+            }
         }
         std::array::from_fn(|axis| {
             let error = self.reference[axis] - velocity[axis];
@@ -74,7 +85,7 @@ mod tests {
         let mut at = [0.0; 2];
         for k in 0..120 {
             let wish = if k < 60 { 1.0 } else { 0.0 };
-            let asked = tracker.step([wish, 0.0], [v, 0.0], DT)[0];
+            let asked = tracker.step([wish, 0.0], [v, 0.0], [[1e3; 2]; 2], DT)[0];
             a += (asked - a) * DT / 0.35;
             v += (a - drag * v) * DT;
             at[usize::from(k >= 60)] = v;
@@ -89,6 +100,18 @@ mod tests {
             assert!((pushed - 3.0).abs() < 0.6, "drag {drag}: {pushed}");
             assert!((coasting - 3.0).abs() < 0.3, "drag {drag}: {coasting}");
         }
+    }
+
+    #[test]
+    fn an_edge_stops_what_flies_towards_it() {
+        let (mut tracker, mut v, mut a, mut room) = (Tracker::new(2.0), 0.0, 0.0, 20.0);
+        for _ in 0..400 {
+            let asked = tracker.step([1.0, 0.0], [v, 0.0], [[1e3, room], [1e3; 2]], DT)[0];
+            a += (asked - a) * DT / 0.35;
+            v += a * DT;
+            room -= v * DT;
+        }
+        assert!(room.abs() < 1.0 && v.abs() < 0.1, "{room} m, {v} m/s");
     }
 
     #[test]
