@@ -8,32 +8,31 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use gcs::demo;
-use gcs::lab::Contender;
-use gcs::pilot::Controller;
-use gcs::run::Brain;
-use sitl::camera::Frame;
-use sitl::{Scenario, Sim};
+use crpl_gcs::lab::{Contender, demo};
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::camera::Frame;
+use crpl_sitl::{Scenario, Sim};
 
 fn main() {
-    let brain = Brain::load(None, None).expect("the shipped world model");
+    let models = Models::load(None, None).expect("the shipped world model");
     let scenario = demo::scenario().expect("the demo's scenario");
     for controller in Controller::value_variants() {
         // A controller that has no policy for this scenario cannot be measured in it.
-        let Ok(contender) = Contender::new(&brain, *controller, &scenario) else { continue };
+        let Ok(contender) = Contender::new(&models, *controller, &scenario) else { continue };
         let mut seed = 0;
         rate::rate(&format!("flights, {controller}"), "episodes", 1, || {
             seed += 1;
             black_box(contender.fly(seed).expect("a flight"));
         });
     }
-    shares(&brain, &scenario);
+    shares(&models, &scenario);
 }
 
 /// Where the time of a CRPL flight goes: the same pictures are rendered and encoded again alone.
-fn shares(brain: &Brain, scenario: &Scenario) {
+fn shares(models: &Models, scenario: &Scenario) {
     let flights = if std::env::args().any(|arg| arg == "--bench") { 100 } else { 1 };
-    let contender = Contender::new(brain, Controller::Crpl, scenario).expect("the shipped policy");
+    let contender = Contender::new(models, Controller::Crpl, scenario).expect("the shipped policy");
     let [mut whole, mut render, mut encode] = [Duration::ZERO; 3];
     for seed in 0..flights {
         let records = timed(&mut whole, || contender.records(seed));
@@ -48,7 +47,7 @@ fn shares(brain: &Brain, scenario: &Scenario) {
         let frames: Vec<Frame> = timed(&mut render, || scenes.iter().map(Sim::frame).collect());
         timed(&mut encode, || {
             for frame in &frames {
-                black_box(brain.world.encode(frame));
+                black_box(models.world.encode(frame));
             }
         });
     }

@@ -9,15 +9,15 @@ use std::hint::black_box;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use gcs::bridge::router::Router;
-use gcs::remote::Remote;
+use crpl_gcs::flight::remote::Remote;
+use crpl_gcs::tools::bridge::router::Router;
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::dialect::MavMessage;
+use crpl_sitl::radio::message::Command;
+use crpl_sitl::units::{Tick, TxPower};
+use crpl_sitl::vehicle::Vehicle;
+use crpl_sitl::{Scenario, Sim};
 use mavlink::{MavlinkReader, MavlinkVersion};
-use sitl::link::decoder::Decoder;
-use sitl::link::dialect::MavMessage;
-use sitl::msg::{Command, TxPower};
-use sitl::units::Tick;
-use sitl::vehicle::Vehicle;
-use sitl::{Scenario, Sim};
 
 const SAMPLES: usize = 31;
 

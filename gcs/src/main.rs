@@ -5,19 +5,20 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
-use gcs::demo::{self, Flight};
-use gcs::fly::{self, Options};
-use gcs::foreign::guide::Stack;
-use gcs::foreign::{self, Foreign};
-use gcs::outs::{self, Out};
-use gcs::pilot::Controller;
-use gcs::report;
-use gcs::run::{self, Brain, Summary};
-use gcs::sweep::{self, merge};
-use gcs::{episodes, episodes::Episodes};
-use sitl::Scenario;
-use sitl::cli::Pace;
-use sitl::link::endpoint::Endpoint;
+use crpl_gcs::flight::foreign::guide::Stack;
+use crpl_gcs::flight::foreign::{self, Foreign};
+use crpl_gcs::flight::{self, Options};
+use crpl_gcs::lab::demo::{self, Flight};
+use crpl_gcs::lab::episodes::{self, Episodes};
+use crpl_gcs::lab::report;
+use crpl_gcs::lab::run::{self, Summary};
+use crpl_gcs::lab::sweep::{self, merge};
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::Controller;
+use crpl_gcs::tools::outs::{self, Out};
+use crpl_sitl::Scenario;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::cli::Pace;
 
 /// A ground station that flies a UAV from pictures: CRPL and its baselines over MAVLink.
 #[derive(Debug, Parser)]
@@ -42,15 +43,15 @@ enum Command {
     /// Draw the paper's figures: one page, SVG, PNG, CSV and text.
     Report(report::Report),
     /// Share a vehicle among tools: a MAVLink router with counters.
-    Bridge(gcs::bridge::Bridge),
+    Bridge(crpl_gcs::tools::bridge::Bridge),
     /// List, read, set, load and save a vehicle's parameters.
-    Param(gcs::params::Params),
+    Param(crpl_gcs::tools::param::Params),
     /// Upload, download and clear a vehicle's mission.
-    Mission(gcs::missions::Missions),
+    Mission(crpl_gcs::tools::mission::Missions),
     /// Send a flight that is over to whoever watches, from its tlog or its record.
-    Replay(gcs::replay::Replay),
+    Replay(crpl_gcs::tools::replay::Replay),
     /// Run the vehicle: the same program as `sitl`.
-    Sitl(sitl::cli::Args),
+    Sitl(crpl_sitl::program::cli::Args),
 }
 
 /// What is flown, and by which trained things.
@@ -85,8 +86,8 @@ impl Task {
         Ok(scenario)
     }
 
-    fn brain(&self) -> Result<Brain> {
-        Brain::load(self.checkpoint.as_deref(), self.policy.clone())
+    fn models(&self) -> Result<Models> {
+        Models::load(self.checkpoint.as_deref(), self.policy.clone())
     }
 }
 
@@ -133,7 +134,7 @@ struct Fly {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
     /// How many times faster than real time a foreign vehicle's simulator runs.
-    #[arg(long, value_name = "X", default_value = "1", value_parser = sitl::cli::parse_speedup)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = crpl_sitl::program::cli::parse_speedup)]
     speedup: f64,
     /// File with the key of message signing: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     #[arg(long, value_name = "FILE")]
@@ -176,7 +177,7 @@ impl Vehicle {
 
 async fn demo(args: Demo) -> Result<()> {
     let scenario = args.task.scenario(demo::scenario)?;
-    let brain = args.task.brain()?;
+    let models = args.task.models()?;
     let mut flights = Vec::new();
     let (out, outs) = outs::sorted(&args.out, "runs/demo");
     for controller in args.controller {
@@ -190,7 +191,7 @@ async fn demo(args: Demo) -> Result<()> {
             outs: &outs,
         };
         let dir = out.join(controller.to_string());
-        let Some(summary) = demo::fly(&brain, &flight, &dir).await? else { break };
+        let Some(summary) = demo::fly(&models, &flight, &dir).await? else { break };
         flights.push(summary);
     }
     report(&flights, args.json)?;
@@ -206,7 +207,7 @@ async fn fly(args: Fly) -> Result<()> {
         Some(_) => foreign::scenario(),
         None => Ok(Scenario::default()),
     })?;
-    let mut station = args.task.brain()?.station(args.controller, &scenario)?;
+    let mut station = args.task.models()?.station(args.controller, &scenario)?;
     let (out, outs) = outs::sorted(&args.out, "runs/flight");
     run::begin(&out, &scenario)?;
     let options = Options {
@@ -222,7 +223,7 @@ async fn fly(args: Fly) -> Result<()> {
             let how = Foreign { stack, system: args.sysid, speedup: args.speedup };
             foreign::fly(&args.connect, &scenario, &how, &options, |p| station.handle(p)).await?
         }
-        None => fly::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?,
+        None => flight::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?,
     };
     if let Some(last) = &flown.last {
         station.finish(last);
@@ -252,11 +253,11 @@ fn run_command(command: Command) -> Result<()> {
     match command {
         Command::Demo(args) => runtime.block_on(demo(args)),
         Command::Fly(args) => runtime.block_on(fly(args)),
-        Command::Bridge(args) => runtime.block_on(gcs::bridge::run(args)),
-        Command::Param(args) => runtime.block_on(gcs::params::run(args)),
-        Command::Mission(args) => runtime.block_on(gcs::missions::run(args)),
-        Command::Replay(args) => runtime.block_on(gcs::replay::run(args)),
-        Command::Sitl(args) => runtime.block_on(sitl::cli::run(args)),
+        Command::Bridge(args) => runtime.block_on(crpl_gcs::tools::bridge::run(args)),
+        Command::Param(args) => runtime.block_on(crpl_gcs::tools::param::run(args)),
+        Command::Mission(args) => runtime.block_on(crpl_gcs::tools::mission::run(args)),
+        Command::Replay(args) => runtime.block_on(crpl_gcs::tools::replay::run(args)),
+        Command::Sitl(args) => runtime.block_on(crpl_sitl::program::cli::run(args)),
         Command::Episodes(args) => episodes::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Merge(args) => merge::run(&args),
@@ -267,8 +268,8 @@ fn run_command(command: Command) -> Result<()> {
 fn main() -> ExitCode {
     let args = match Args::try_parse() {
         Ok(args) => args,
-        Err(error) => return sitl::cli::usage(&error),
+        Err(error) => return crpl_sitl::program::cli::usage(&error),
     };
-    sitl::cli::log();
-    sitl::cli::outcome(run_command(args.command))
+    crpl_sitl::program::cli::log();
+    crpl_sitl::program::cli::outcome(run_command(args.command))
 }

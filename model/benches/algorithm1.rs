@@ -9,16 +9,16 @@ mod rate;
 use std::hint::black_box;
 use std::time::Instant;
 
-use model::crpl::{self, Estimate, Execution, Head, Limits, Objective, Setting};
-use model::optimise::{
+use crpl_model::planning::algorithm1::{
     Comparison, OptimiseConfig, OptimiseError, Progress, Stage, Watch, optimise, total_iterations,
 };
-use model::policy::Policies;
-use model::world_model::WorldModel;
+use crpl_model::planning::objective::{self, Estimate, Execution, Head, Limits, Objective, Setting};
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
 use oracle::{by_autodiff, draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use sitl::Scenario;
 
 /// Shows nothing and saves nothing.
 struct Quiet;
@@ -51,7 +51,7 @@ fn iteration() {
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
     rate::rate("stage 1 by hand", "iterations", 1, || {
-        black_box(crpl::gradient(&plant, &objective, setting, black_box(&motion), &draws));
+        black_box(objective::gradient(&plant, &objective, setting, black_box(&motion), &draws));
     });
     rate::rate("stage 1 by autodiff", "iterations", 1, || {
         black_box(by_autodiff::gradient(

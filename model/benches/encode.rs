@@ -5,24 +5,24 @@ mod rate;
 
 use std::hint::black_box;
 
-use model::jepa::{self, Backend};
-use model::world_model::WorldModel;
+use crpl_model::encoder::module::{self, Backend};
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
 use nalgebra::Vector2;
-use sitl::Scenario;
 
 fn main() {
     let model = WorldModel::embedded().expect("the shipped checkpoint reads");
     let scenario = Scenario::default();
-    let frame = sitl::camera::render(Vector2::new(0.31, 0.62), scenario.obstacle.position, &scenario);
+    let frame = crpl_sitl::camera::render(Vector2::new(0.31, 0.62), scenario.obstacle.position, &scenario);
     rate::rate("encode, flight path", "frames", 1, || {
         black_box(model.encode(black_box(&frame)));
     });
 
     let device = Backend::Flex.device().expect("flex is always built");
     let weights = model.encoder.weights();
-    let encoder = jepa::Encoder::new(weights, &device);
+    let encoder = module::Encoder::new(weights, &device);
     let frames = [frame];
     rate::rate("encode, burn-flex", "frames", 1, || {
-        black_box(jepa::latents_of(&encoder, &weights.input, &device, black_box(&frames)));
+        black_box(module::latents_of(&encoder, &weights.input, &device, black_box(&frames)));
     });
 }

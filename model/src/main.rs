@@ -1,21 +1,18 @@
 //! `model collect | train | evaluate | optimise | check`: makes the data, the world model and the policies.
 
-mod ablate_cli;
-mod evaluate_cli;
-mod optimise_cli;
-
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
-use model::config::TrainConfig;
-use model::jepa::Backend;
-use model::predictors_fit;
-use model::train::{self, Run};
-use model::world_model::WorldModel;
-use sitl::Scenario;
+use crpl_model::encoder::module::Backend;
+use crpl_model::training::recipe::{self, Run};
+use crpl_model::training::{ablation_command, predictors};
+use crpl_model::world_model::WorldModel;
+use crpl_model::world_model::config::TrainConfig;
+use crpl_model::{evaluation, planning};
+use crpl_sitl::Scenario;
 
 /// The world model of CRPL: its data, its training.
 #[derive(Debug, Parser)]
@@ -34,15 +31,15 @@ enum Command {
     /// Train the MLP and the LSTM anew that the linear predictor is compared with.
     Predictors(NetworksOf),
     /// Train with one ingredient changed, row by row, and print what it costs.
-    Ablate(ablate_cli::Ablate),
+    Ablate(ablation_command::Ablate),
     /// Print where encoders break: errors on harder cameras and in harder states.
-    Hard(ablate_cli::Hard),
+    Hard(ablation_command::Hard),
     /// Measure a world model on fresh pictures and draw the paper's Fig. 3.
-    Evaluate(evaluate_cli::Evaluate),
+    Evaluate(evaluation::command::Evaluate),
     /// Optimise CRPL's two policies in latent space (Algorithm 1).
-    Optimise(optimise_cli::Optimise),
+    Optimise(planning::command::Optimise),
     /// Fly a policy in closed loop and count how often it keeps each chance constraint.
-    Check(optimise_cli::Check),
+    Check(planning::command::Check),
 }
 
 #[derive(Debug, clap::Args)]
@@ -105,25 +102,25 @@ struct NetworksOf {
 fn main() -> ExitCode {
     let args = match Args::try_parse() {
         Ok(args) => args,
-        Err(error) => return sitl::cli::usage(&error),
+        Err(error) => return crpl_sitl::program::cli::usage(&error),
     };
-    sitl::cli::log();
-    sitl::cli::outcome(match args.command {
+    crpl_sitl::program::cli::log();
+    crpl_sitl::program::cli::outcome(match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
-        Command::Ablate(args) => ablate_cli::ablate(&args),
-        Command::Hard(args) => ablate_cli::hard(&args),
-        Command::Evaluate(args) => evaluate_cli::run(&args),
-        Command::Optimise(args) => optimise_cli::run(&args),
-        Command::Check(args) => optimise_cli::check(&args),
+        Command::Ablate(args) => ablation_command::ablate(&args),
+        Command::Hard(args) => ablation_command::hard(&args),
+        Command::Evaluate(args) => evaluation::command::run(&args),
+        Command::Optimise(args) => planning::command::run(&args),
+        Command::Check(args) => planning::command::check(&args),
     })
 }
 
 fn collect(args: &Collect) -> anyhow::Result<()> {
-    let config = resolve(args.config.as_ref(), args.seed)?;
-    let episodes = train::collect(&config, &Scenario::default());
-    model::dataset::save(&episodes, &args.out)?;
+    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let episodes = recipe::collect(&config, &Scenario::default());
+    crpl_model::world_model::dataset::save(&episodes, &args.out)?;
     let path = args.out.join("config.toml");
     std::fs::write(&path, toml::to_string(&config)?)
         .with_context(|| format!("writing {}", path.display()))?;
@@ -132,16 +129,16 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
 }
 
 fn run(args: &Train) -> anyhow::Result<()> {
-    let mut config = resolve(args.config.as_ref(), args.seed)?;
+    let mut config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     if args.quick {
         config = config.quick();
         tracing::warn!("--quick: less data and fewer steps; these are not the figures of the full recipe");
     }
     let run =
         Run { backend: args.backend, out: args.out.clone(), data: args.data.clone(), resume: args.resume };
-    let (started, cpu) = (Instant::now(), train::cpu_seconds());
-    let (model, figures) = train::train(&config, &run)?;
-    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), train::cpu_seconds() - cpu);
+    let (started, cpu) = (Instant::now(), recipe::cpu_seconds());
+    let (model, figures) = recipe::train(&config, &run)?;
+    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), recipe::cpu_seconds() - cpu);
     if args.json {
         let out = serde_json::json!({
             "out": args.out,
@@ -166,7 +163,7 @@ fn run(args: &Train) -> anyhow::Result<()> {
 }
 
 fn networks(args: &NetworksOf) -> anyhow::Result<()> {
-    let config = resolve(args.config.as_ref(), args.seed)?;
+    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     config.check()?;
     let model = match &args.checkpoint {
         Some(dir) => WorldModel::load(dir)?,
@@ -174,24 +171,13 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
     let started = Instant::now();
-    let trained = train::networks(&config, &model)?;
-    predictors_fit::publish(&trained, &args.out)?;
+    let trained = recipe::networks(&config, &model)?;
+    predictors::publish(&trained, &args.out)?;
     for (name, curve) in ["MLP", "LSTM"].iter().zip(&trained.curves) {
         let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
-        let px = |p: Option<&predictors_fit::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
+        let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
         println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
     }
     println!("{:.1} s; in {}", started.elapsed().as_secs_f64(), args.out.display());
     Ok(())
-}
-
-fn resolve(path: Option<&PathBuf>, seed: Option<u64>) -> anyhow::Result<TrainConfig> {
-    let mut config = match path {
-        Some(path) => TrainConfig::load(path)?,
-        None => TrainConfig::default(),
-    };
-    if let Some(seed) = seed {
-        config.seed = seed;
-    }
-    Ok(config)
 }

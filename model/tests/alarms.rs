@@ -1,12 +1,12 @@
 //! Failures planted in training: each raises its alarm, and none ships.
 
-use model::alarms::{Alarm, Side};
-use model::config::{DataConfig, PredictorConfig, TrainConfig};
-use model::evaluate::EvaluationConfig;
-use model::heads::HeadsConfig;
-use model::jepa::Backend;
-use model::stages::{Gradient, Init, Loss, PsiStart, Stages};
-use model::train::{Run, TrainError, train, without_heads};
+use crpl_model::encoder::module::Backend;
+use crpl_model::evaluation::EvaluationConfig;
+use crpl_model::evaluation::alarms::{Alarm, Side};
+use crpl_model::heads::labels::HeadsConfig;
+use crpl_model::training::recipe::{Run, TrainError, train, without_heads};
+use crpl_model::training::stages::{Gradient, Init, Loss, PsiStart, Stages};
+use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
 
 fn small() -> TrainConfig {
     TrainConfig {

@@ -2,9 +2,9 @@
 
 mod oracle;
 
-use model::crpl::{self, Execution, Head, Limits, Objective, Setting};
-use model::kernel::LANES;
-use model::policy::Policies;
+use crpl_model::numeric::kernel::LANES;
+use crpl_model::planning::objective::{self, Execution, Head, Limits, Objective, Setting};
+use crpl_model::planning::policy::Policies;
 use oracle::{by_autodiff, draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -27,7 +27,7 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let direction = net(&[6, 64, 64, 5], 1.0, &mut rng);
-    let (_, grad) = crpl::gradient(&plant, &objective, setting, &motion, &draws);
+    let (_, grad) = objective::gradient(&plant, &objective, setting, &motion, &draws);
     let dot: f64 = grad
         .layers
         .iter()
@@ -42,7 +42,7 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
             layer.w.iter_mut().zip(&d.w).for_each(|(w, d)| *w += sign * h * d);
             layer.b.iter_mut().zip(&d.b).for_each(|(b, d)| *b += sign * h * d);
         }
-        crpl::evaluate(&plant, &objective, setting, &moved, &draws).0.j
+        objective::evaluate(&plant, &objective, setting, &moved, &draws).0.j
     };
     (dot, (at(1.0) - at(-1.0)) / (2.0 * f64::from(h)))
 }
@@ -66,9 +66,9 @@ fn a_second_obstacle_on_the_first_ones_place_adds_risk_and_no_shadow() {
     let mut draws = draws(1, 12, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (_, one) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, one) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
     draws[0].second = Some(draws[0].obstacle);
-    let (_, two) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, two) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
     assert_eq!((&one.cost, &one.comm), (&two.cost, &two.comm));
     assert!(one.safe.iter().zip(&two.safe).all(|(one, two)| two < one));
 }
@@ -80,12 +80,12 @@ fn an_opening_flies_its_own_motions_and_then_the_policys() {
     let mut draws = draws(1, 12, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: None, power: 4.0, execution: Execution::Nearest };
-    let (_, own) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, own) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
     // Lane 1 is pushed to the goal, which lies ahead on the first axis; lane 2 away from it.
     let mut row = [None; LANES];
     (row[1], row[2]) = (Some([1.0, 0.0]), Some([-1.0, 0.0]));
     draws[0].opening = vec![row; 4];
-    let (_, opened) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, opened) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
     assert!(opened.cost[1] < own.cost[1] && opened.cost[2] > own.cost[2]);
     assert_eq!((opened.cost[0], &opened.cost[3..]), (own.cost[0], &own.cost[3..]));
 }
@@ -99,7 +99,7 @@ fn number_of_threads_changes_no_bit() {
     let setting = Setting { eta: Some(2.0), power: 4.0, execution: Execution::Nearest };
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| crpl::gradient(&plant, &Objective::default(), setting, &motion, &draws).1)
+        pool.install(|| objective::gradient(&plant, &Objective::default(), setting, &motion, &draws).1)
     };
     assert_eq!(run(1), run(3));
 }
@@ -111,8 +111,8 @@ fn rollouts_are_scored_one_by_one_as_in_a_batch() {
     let draws = draws(3, 15, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (_, all) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
-    let (_, one) = crpl::evaluate(&plant, &Objective::default(), setting, &motion, &draws[1..2]);
+    let (_, all) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, one) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws[1..2]);
     assert_eq!(all.cost[LANES..2 * LANES], one.cost[..]);
     assert!(all.safe.iter().all(|s| *s <= 1.0) && all.comm.iter().all(|s| (0.0..=1.0).contains(s)));
 }
@@ -132,7 +132,7 @@ fn gradient_agrees_with_autodiff() {
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (estimate, by_hand) = crpl::gradient(&plant, &objective, setting, &motion, &draws);
+    let (estimate, by_hand) = objective::gradient(&plant, &objective, setting, &motion, &draws);
     let (j, oracle) = by_autodiff::gradient(&plant, &collision, &gain, &objective, 1.0, &motion, &draws);
     assert!((estimate.j - j).abs() < 1e-4 * j.abs().max(1.0), "J {} by hand, {j} by autodiff", estimate.j);
     let by_hand: Vec<&Vec<f32>> = by_hand.layers.iter().flat_map(|l| [&l.w, &l.b]).collect();

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use model::hard::{HardRow, hard_table};
-use model::world_model::WorldModel;
-use sitl::Scenario;
-use sitl::world::noise::Noise;
+use crpl_model::evaluation::robustness::{HardRow, hard_table};
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
+use crpl_sitl::world::noise::Noise;
 
 /// A seed that no training used.
 const SEED: u64 = 0x6861_7264;

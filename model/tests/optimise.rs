@@ -1,9 +1,11 @@
 //! Algorithm 1 in small: it lowers J, and a run that was stopped ends as one that was not.
 
-use model::crpl::{Estimate, Objective};
-use model::optimise::{Comparison, OptimiseConfig, OptimiseError, Progress, Stage, Watch, optimise};
-use model::world_model::WorldModel;
-use sitl::Scenario;
+use crpl_model::planning::algorithm1::{
+    Comparison, OptimiseConfig, OptimiseError, Progress, Stage, Watch, optimise,
+};
+use crpl_model::planning::objective::{Estimate, Objective};
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
 
 /// A few iterations of everything, with tolerances that any policy meets.
 fn config() -> OptimiseConfig {

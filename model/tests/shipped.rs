@@ -1,15 +1,15 @@
 //! What the shipped world model promises, on pictures that training never saw.
 
-use model::crpl::Objective;
-use model::dataset::{self, Start};
-use model::evaluate::{self, EvaluationConfig};
-use model::flown;
-use model::heads::{self, HeadsConfig, Scene, Station};
-use model::jepa::{self, Backend};
-use model::policy::Policies;
-use model::world_model::WorldModel;
-use sitl::Scenario;
-use sitl::world::noise::{Noise, Stream};
+use crpl_model::encoder::module::{self, Backend};
+use crpl_model::evaluation::{self, EvaluationConfig};
+use crpl_model::heads::labels::{self, HeadsConfig, Scene, Station};
+use crpl_model::planning::flown;
+use crpl_model::planning::objective::Objective;
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::WorldModel;
+use crpl_model::world_model::dataset::{self, Start};
+use crpl_sitl::Scenario;
+use crpl_sitl::world::noise::{Noise, Stream};
 
 /// A seed that neither training nor its own evaluation used.
 fn fresh() -> Noise {
@@ -22,7 +22,7 @@ fn shipped() -> WorldModel {
 
 #[test]
 fn positions_are_read_to_a_fraction_of_a_pixel_and_not_from_the_wrong_half() {
-    let probe = evaluate::decode(&shipped(), 6000, &Scenario::default(), &fresh());
+    let probe = evaluation::decode(&shipped(), 6000, &Scenario::default(), &fresh());
     assert!(probe.c_middle_p90_px <= 0.15, "{probe:?}");
     assert!(probe.u_p90_px <= 0.3, "{probe:?}");
     assert!(probe.leak_c_to_u < 0.05 && probe.leak_u_to_c < 0.05, "{probe:?}");
@@ -31,7 +31,7 @@ fn positions_are_read_to_a_fraction_of_a_pixel_and_not_from_the_wrong_half() {
 #[test]
 fn a_disc_that_the_frame_cuts_is_seen_where_it_is() {
     let (model, scenario) = (shipped(), Scenario::default());
-    let probe = evaluate::decode(&model, 6000, &scenario, &fresh());
+    let probe = evaluation::decode(&model, 6000, &scenario, &fresh());
     assert!(probe.c_edge_p90_px <= 1.5 && probe.c_edge_max_px <= 3.0, "{probe:?}");
     // The trap itself: a UAV past the goal must never be seen short of it.
     for step in 0..=10 {
@@ -46,7 +46,7 @@ fn a_disc_that_the_frame_cuts_is_seen_where_it_is() {
 fn actions_matter_ten_times_over() {
     let (model, scenario) = (shipped(), Scenario::default());
     let config = EvaluationConfig { frames: 1500, rollouts: 200, horizon: 100 };
-    let metrics = evaluate::measure(
+    let metrics = evaluation::measure(
         &model,
         &config,
         &HeadsConfig::default(),
@@ -63,11 +63,11 @@ fn actions_matter_ten_times_over() {
 
 #[test]
 fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
-    use model::evaluate::report::{ReportConfig, measure};
-    use model::predictors::Predictors;
+    use crpl_model::evaluation::report::{ReportConfig, measure};
+    use crpl_model::predictor::networks::Predictors;
 
     let (model, networks) = (shipped(), Predictors::embedded().expect("the shipped networks read"));
-    assert_eq!(networks.world, model::checkpoint::fingerprint(&model).unwrap());
+    assert_eq!(networks.world, crpl_model::world_model::checkpoint::fingerprint(&model).unwrap());
     let config = ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20 };
     let measured = measure(&model, &networks, &config, &Scenario::default(), || ());
     let json = serde_json::to_value(&measured.report).unwrap();
@@ -120,21 +120,21 @@ fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
     let (model, scenario) = (shipped(), Scenario::default());
     let episode = &dataset::collect(1, 20, Start::Mixed, &scenario, &fresh(), 0)[0];
     let [before, now] = [0, 1].map(|k| model.encode(&episode.frame(k, &scenario)));
-    let wide = |z: &[f32; 16]| model::predictor::Half::from_fn(|k, _| f64::from(z[k]));
+    let wide = |z: &[f32; 16]| crpl_model::predictor::linear::Half::from_fn(|k, _| f64::from(z[k]));
     let full = model.predictor.step_c(&wide(&now.z_c), &wide(&before.z_c), episode.actions[0]);
     let reduced = model.reduced().step_c(
-        model::weights::vector(model.y_c(&now)),
-        model::weights::vector(model.y_c(&before)),
+        crpl_model::encoder::weights::vector(model.y_c(&now)),
+        crpl_model::encoder::weights::vector(model.y_c(&before)),
         episode.actions[0],
     );
-    let plane = model::world_model::plane(&model.plane_c);
+    let plane = crpl_model::world_model::plane(&model.plane_c);
     assert!((plane.transpose() * full - reduced).norm() < 1e-4, "{full} {reduced}");
 }
 
 #[test]
 fn burn_and_the_flight_path_see_the_same() {
     let (model, scenario) = (shipped(), Scenario::default());
-    let scenes = heads::sample(24, Station::Given, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
+    let scenes = labels::sample(24, Station::Given, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
     let frames: Vec<_> = scenes.iter().map(|(s, _)| s.frame(&scenario)).collect();
     let own: Vec<_> = frames.iter().map(|f| model.encode(f)).collect();
     let backends =
@@ -142,8 +142,8 @@ fn burn_and_the_flight_path_see_the_same() {
     for backend in backends {
         let device = backend.device().unwrap();
         let weights = model.encoder.weights();
-        let encoder = jepa::Encoder::new(weights, &device);
-        let theirs = jepa::latents_of(&encoder, &weights.input, &device, &frames);
+        let encoder = module::Encoder::new(weights, &device);
+        let theirs = module::latents_of(&encoder, &weights.input, &device, &frames);
         let size = own.iter().flat_map(|l| l.z_c).fold(0.0f32, |m, v| m.max(v.abs()));
         for (a, b) in own.iter().zip(&theirs) {
             let off = a.z_c.iter().chain(&a.z_u).zip(b.z_c.iter().chain(&b.z_u));

@@ -2,16 +2,16 @@
 
 use std::path::Path;
 
-use model::alarms::Limits;
-use model::config::{DataConfig, PredictorConfig, TrainConfig};
-use model::evaluate::EvaluationConfig;
-use model::heads::HeadsConfig;
-use model::jepa::Backend;
-use model::lens::Lens;
-use model::predictors::NetworksConfig;
-use model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
-use model::train::{Run, TrainError, train};
-use model::world_model::WorldModel;
+use crpl_model::encoder::module::Backend;
+use crpl_model::evaluation::EvaluationConfig;
+use crpl_model::evaluation::alarms::Limits;
+use crpl_model::heads::labels::HeadsConfig;
+use crpl_model::predictor::networks::NetworksConfig;
+use crpl_model::training::lens::Lens;
+use crpl_model::training::recipe::{Run, TrainError, train};
+use crpl_model::training::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
+use crpl_model::world_model::WorldModel;
+use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
 
 fn small() -> TrainConfig {
     TrainConfig {
@@ -92,8 +92,8 @@ fn another_configuration_does_not_go_on_with_the_run() {
 #[cfg(feature = "ndarray")]
 #[test]
 fn both_backends_fit_the_same_encoder() {
+    use crpl_sitl::Scenario;
     use nalgebra::Vector2;
-    use sitl::Scenario;
 
     let dir = tempfile::tempdir().unwrap();
     let flex = run(&dir.path().join("flex"), Backend::Flex, false).unwrap();
@@ -103,7 +103,7 @@ fn both_backends_fit_the_same_encoder() {
         let k = f64::from(k);
         let uav = Vector2::new(0.5 + 0.5 * (k * 1.3).sin(), 0.5 + 0.5 * (k * 0.7).cos());
         let obstacle = Vector2::new(0.5 + 0.3 * (k * 0.9).cos(), 0.5 + 0.3 * (k * 1.1).sin());
-        let frame = sitl::camera::render(uav, obstacle, &scenario);
+        let frame = crpl_sitl::camera::render(uav, obstacle, &scenario);
         let (a, b) = (flex.encode(&frame), ndarray.encode(&frame));
         let size = a.z_c.iter().chain(&a.z_u).fold(0.0f32, |m, v| m.max(v.abs()));
         let off = a.z_c.iter().chain(&a.z_u).zip(b.z_c.iter().chain(&b.z_u));

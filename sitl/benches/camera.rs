@@ -4,9 +4,9 @@ mod rate;
 
 use std::hint::black_box;
 
+use crpl_sitl::Scenario;
+use crpl_sitl::camera::render;
 use nalgebra::Vector2;
-use sitl::Scenario;
-use sitl::camera::render;
 
 fn main() {
     let scenario = Scenario::default();

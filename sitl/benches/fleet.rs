@@ -6,15 +6,16 @@
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
-use sitl::link::dialect;
-use sitl::link::encoder::Encoder;
-use sitl::link::links::Links;
-use sitl::link::wire::{self, Clock};
-use sitl::shell::Shell;
-use sitl::stats::Stopwatch;
-use sitl::units::Tick;
-use sitl::vehicle::Vehicle;
-use sitl::{Scenario, Sim, cli, fleet};
+use crpl_sitl::link::dialect;
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::links::Links;
+use crpl_sitl::link::wire::{self, Clock};
+use crpl_sitl::program::shell::Shell;
+use crpl_sitl::program::timing::Stopwatch;
+use crpl_sitl::program::{cli, fleet};
+use crpl_sitl::units::Tick;
+use crpl_sitl::vehicle::Vehicle;
+use crpl_sitl::{Scenario, Sim};
 
 const PERIOD: Duration = Duration::from_millis(400);
 const TICKS: u64 = 50;

@@ -8,17 +8,18 @@ use std::hint::black_box;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::dialect::{self, MavMessage};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
+use crpl_sitl::program::shell::Shell;
+use crpl_sitl::program::timing::Histogram;
+use crpl_sitl::radio::message::Command;
+use crpl_sitl::units::TxPower;
+use crpl_sitl::vehicle::Vehicle;
+use crpl_sitl::{Scenario, Sim};
 use mavlink::{MavlinkReader, Message};
-use sitl::link::decoder::Decoder;
-use sitl::link::dialect::{self, MavMessage};
-use sitl::link::encoder::Encoder;
-use sitl::link::image::{self, Reassembler};
-use sitl::link::wire::{self, Clock, TelemetryReader};
-use sitl::msg::{Command, TxPower};
-use sitl::shell::Shell;
-use sitl::stats::Histogram;
-use sitl::vehicle::Vehicle;
-use sitl::{Scenario, Sim};
 
 const MESSAGES: usize = 60_000;
 const ROUND_TRIPS: usize = 20_000;
@@ -46,7 +47,7 @@ fn traffic() -> Vec<Vec<u8>> {
         match k % 6 {
             0 => station.push(&mut datagram, &dialect::HEARTBEAT_DATA::default()),
             1 | 3 => {
-                let tick = sitl::units::Tick(0);
+                let tick = crpl_sitl::units::Tick(0);
                 wire::push_setpoint(tick, [x.sin(), x.cos()], &clock, 1, &mut station, &mut datagram);
             }
             2 => other.push(
@@ -195,7 +196,7 @@ fn lockstep(pictures: bool) {
             }
         }
         if reported == Some(next) && (!pictures || seen == Some(next)) {
-            let command = Command::new(sitl::units::Tick(next), [1.0, 0.0], TxPower::High);
+            let command = Command::new(crpl_sitl::units::Tick(next), [1.0, 0.0], TxPower::High);
             datagram.clear();
             wire::push_command(&command, &clock, 1, &mut station, &mut datagram);
             socket.send(&datagram).expect("loopback takes a datagram");

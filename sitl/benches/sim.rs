@@ -5,8 +5,9 @@ mod rate;
 
 use std::hint::black_box;
 
-use sitl::msg::{Command, Motion, TxPower};
-use sitl::{Scenario, Sim};
+use crpl_sitl::radio::message::Command;
+use crpl_sitl::units::{Motion, TxPower};
+use crpl_sitl::{Scenario, Sim};
 
 const TICKS: u64 = 1000;
 

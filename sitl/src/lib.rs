@@ -1,4 +1,4 @@
-//! A UAV simulator with a camera and a real radio in the way, spoken to over MAVLink 2.
+//! A UAV simulator that speaks MAVLink 2, renders its camera, and models the radio link.
 //!
 //! ```text
 //! World --> camera --> Percept ==[link]==> ground station
@@ -8,39 +8,29 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
+//! | [`units`] | ticks, SNR, actions, the scale between the paper's square and NED metres | physics |
 //! | [`scenario`] | every parameter of a flight, with the paper as default | files other than its own |
-//! | [`units`] | ticks, SNR, the scale between the paper's square and NED metres | physics |
-//! | [`msg`] | what crosses the link: [`msg::Command`], [`msg::Percept`] | bytes |
-//! | [`world`] | the paper's Section IV-A, one formula a function | protocol, controllers |
-//! | [`camera`] | world to 100x100 picture | physics |
-//! | [`radio`] | the gate: delivered, delayed, superseded, lost; hold-last | geometry |
-//! | [`sim`] | world + gate + camera, a state machine | clocks, sockets |
+//! | [`world`] | the paper's Sec. IV-A, one formula a function | protocol, controllers |
+//! | [`camera`] | world to 100x100 frame | physics |
+//! | [`radio`] | what crosses the radio, and the gate: delivered, delayed, superseded, lost | geometry, bytes |
+//! | [`sim`] | world + radio + camera, a state machine; records and metrics | clocks, sockets |
 //! | [`link`] | MAVLink 2 in datagrams, for both programs | physics, controllers |
 //! | [`vehicle`] | `Sim` as MAVLink peers see it, a state machine | clocks, sockets |
-//! | [`shell`] | sockets and timers: lockstep and real time | what a datagram means |
-//! | [`fleet`] | many vehicles in one process: ids, ports, obstacles | sockets |
-//! | [`cli`] | flags to a running vehicle | |
-//! | [`stats`] | how late intervals begin, and the processor's time | vehicles |
-//! | [`record`] | one line per control interval, and the five metrics | where the lines came from |
+//! | [`program`] | sockets, timers, flags, logs | what a datagram means |
 //!
-//! Nothing here opens a socket or reads a clock but the shells of the program.
+//! A module uses only modules above it in this table. Nothing but [`program`] opens a socket or reads
+//! a clock.
 
 pub mod camera;
-pub mod cli;
-pub mod fleet;
 pub mod link;
-pub mod msg;
+pub mod program;
 pub mod radio;
-pub mod record;
-mod revision;
 pub mod scenario;
-pub mod shell;
 pub mod sim;
-pub mod stats;
 pub mod units;
 pub mod vehicle;
 pub mod world;
 
-pub use revision::revision;
+pub use program::revision;
 pub use scenario::Scenario;
 pub use sim::Sim;

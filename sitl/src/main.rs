@@ -1,5 +1,5 @@
 //! The `sitl` program. Everything is in the library, where `gcs sitl` finds it too.
 
 fn main() -> std::process::ExitCode {
-    sitl::cli::main()
+    crpl_sitl::program::cli::main()
 }

@@ -12,9 +12,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use sitl::link::dialect::{ATTITUDE_DATA, HEARTBEAT_DATA};
-use sitl::link::encoder::Encoder;
-use sitl::link::frame::Splitter;
+use crpl_sitl::link::dialect::{ATTITUDE_DATA, HEARTBEAT_DATA};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::frame::Splitter;
 use tests::program::{self, Program};
 use tests::python;
 

@@ -22,12 +22,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use sitl::link::decoder::{Decoder, Packet};
-use sitl::link::dialect::{
+use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::dialect::{
     COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult,
     MavSeverity, MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
-use sitl::link::encoder::Encoder;
+use crpl_sitl::link::encoder::Encoder;
 
 /// Whom it copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,10 +7,10 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use crpl_sitl::Scenario;
 use nalgebra::Vector2;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use sitl::Scenario;
 
 /// Reads `tests/golden/NAME.json` as a `T`. Errors name the file.
 pub fn read<T: DeserializeOwned>(name: &str) -> Result<T> {
@@ -168,7 +168,7 @@ pub struct Flight {
 /// Scores of a [`Flight`]; those that our records do not have are left out.
 #[derive(Debug, Deserialize)]
 #[expect(non_snake_case, reason = "the names of the reference files")]
-#[expect(missing_docs, reason = "the metrics of sitl::record::Metrics")]
+#[expect(missing_docs, reason = "the metrics of crpl_sitl::sim::record::Metrics")]
 pub struct FlightMetrics {
     pub d_f: f64,
     pub E_comm: f64,

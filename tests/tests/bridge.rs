@@ -6,12 +6,12 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::path::Path;
 
-use sitl::link::decoder::{Decoder, Packet};
-use sitl::link::dialect::{
+use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::dialect::{
     COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, POSITION_TARGET_LOCAL_NED_DATA,
     PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
-use sitl::link::encoder::Encoder;
+use crpl_sitl::link::encoder::Encoder;
 use tests::program::{self, PATIENCE, Program};
 use tests::python;
 

@@ -8,27 +8,28 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use gcs::lab;
-use gcs::pilot::{Controller, Pilot};
-use gcs::remote::{Event, Remote};
-use gcs::run::{self, Brain};
-use gcs::station::Station;
-use model::policy::Policies;
-use sitl::radio::Fates;
-use sitl::vehicle::Vehicle;
-use sitl::world::noise::{Noise, Stream};
-use sitl::{Scenario, Sim};
+use crpl_gcs::flight::remote::{Event, Remote};
+use crpl_gcs::lab;
+use crpl_gcs::lab::run;
+use crpl_gcs::station::Station;
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::{Controller, Pilot};
+use crpl_model::planning::policy::Policies;
+use crpl_sitl::radio::Fates;
+use crpl_sitl::vehicle::Vehicle;
+use crpl_sitl::world::noise::{Noise, Stream};
+use crpl_sitl::{Scenario, Sim};
 use tests::program::{self, Program};
 use tests::relay::Relay;
 
 const SEED: u64 = 5;
 
 fn scenario() -> Scenario {
-    gcs::demo::scenario().unwrap()
+    lab::demo::scenario().unwrap()
 }
 
-fn brain() -> Brain {
-    Brain::load(None, None).unwrap()
+fn models() -> Models {
+    Models::load(None, None).unwrap()
 }
 
 fn bytes(station: &Station) -> String {
@@ -40,7 +41,7 @@ fn bytes(station: &Station) -> String {
 
 fn in_process(controller: Controller, seed: u64) -> (Station, Fates) {
     let scenario = scenario();
-    let mut station = brain().station(controller, &scenario).unwrap();
+    let mut station = models().station(controller, &scenario).unwrap();
     let mut sim = Sim::new(scenario.clone(), seed);
     lab::fly(&mut sim, &mut station, scenario.horizon);
     (station, sim.fates())
@@ -49,7 +50,7 @@ fn in_process(controller: Controller, seed: u64) -> (Station, Fates) {
 fn through_bytes(controller: Controller) -> Station {
     let address: SocketAddr = ([127, 0, 0, 1], 1).into();
     let (scenario, now) = (scenario(), Duration::ZERO);
-    let mut station = brain().station(controller, &scenario).unwrap();
+    let mut station = models().station(controller, &scenario).unwrap();
     let mut vehicle = Vehicle::new(Sim::new(scenario.clone(), SEED), 1, Some(scenario.horizon));
     let mut remote = Remote::new(&scenario);
     let mut down: VecDeque<Vec<u8>> = [remote.heartbeat(), remote.image_request()].into();
@@ -178,9 +179,9 @@ fn the_shipped_policies_fly_both_scenarios_from_pictures() {
     for number in [1, 2] {
         let mut scenario = scenario();
         scenario.set_number(number).unwrap();
-        let (mut sum, brain) = (0.0, brain());
+        let (mut sum, models) = (0.0, models());
         for seed in 100..130 {
-            let mut station = brain.station(Controller::Crpl, &scenario).unwrap();
+            let mut station = models.station(Controller::Crpl, &scenario).unwrap();
             let mut sim = Sim::new(scenario.clone(), seed);
             lab::fly(&mut sim, &mut station, scenario.horizon);
             let metrics = station.metrics().unwrap();
@@ -197,9 +198,9 @@ fn the_shipped_policies_fly_both_scenarios_from_pictures() {
 fn an_untrained_policy_does_not_reach_the_goal() {
     let scenario = scenario();
     let untrained = Policies::untrained(&mut Noise::new(1).generator(Stream::Weights, 0));
-    let brain = brain();
+    let models = models();
     let pilot = Pilot::Crpl(untrained.into());
-    let mut station = Station::new(scenario.clone(), brain.world.clone(), pilot);
+    let mut station = Station::new(scenario.clone(), models.world.clone(), pilot);
     let mut sim = Sim::new(scenario.clone(), SEED);
     lab::fly(&mut sim, &mut station, scenario.horizon);
     let metrics = station.metrics().unwrap();

@@ -5,12 +5,12 @@
 
 use std::time::Duration;
 
-use gcs::foreign::Foreign;
-use gcs::foreign::guide::{self, Event, Guide};
-use gcs::pilot::Controller;
-use gcs::run::Brain;
-use gcs::station::Station;
-use sitl::Scenario;
+use crpl_gcs::flight::foreign::Foreign;
+use crpl_gcs::flight::foreign::guide::{self, Event, Guide};
+use crpl_gcs::station::Station;
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::Scenario;
 use tests::fake_autopilot::{Autopilot, Served, Stack};
 use tests::program::{self, Program};
 
@@ -34,8 +34,8 @@ struct Story {
 
 fn story(stacks: (Stack, guide::Stack), mut meddle: impl FnMut(f64, &mut Autopilot, &Guide)) -> Story {
     let scenario = scenario();
-    let brain = Brain::load(None, None).unwrap();
-    let mut station = brain.station(Controller::Crpl, &scenario).unwrap();
+    let models = Models::load(None, None).unwrap();
+    let mut station = models.station(Controller::Crpl, &scenario).unwrap();
     let mut autopilot = Autopilot::new(stacks.0, [-7.0, 21.0], true);
     let how = Foreign { stack: stacks.1, system: None, speedup: 1.0 };
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);

@@ -1,6 +1,8 @@
 //! The parts of CRPL's objective agree with the golden vectors to the files' own tolerance.
 
-use model::crpl::{Objective, barrier, barrier_weight, log_ext, outage_surrogate, softmin};
+use crpl_model::planning::objective::{
+    Objective, barrier, barrier_weight, log_ext, outage_surrogate, softmin,
+};
 use serde::Deserialize;
 use tests::golden::{Table, assert_close, read};
 

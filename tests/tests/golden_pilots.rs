@@ -2,17 +2,17 @@
 //! come out again. Those of RCC and UCC command by command; APC's for 19 intervals (at the 20th of Scenario
 //! 1 our beam keeps a node that the reference's does not), and in the large from there on.
 
-use gcs::pilot::apc;
-use gcs::pilot::rcc::Rcc;
-use gcs::pilot::reactive::Present;
-use gcs::pilot::ucc::Ucc;
+use crpl_gcs::station::pilot::apc;
+use crpl_gcs::station::pilot::rcc::Rcc;
+use crpl_gcs::station::pilot::reactive::Present;
+use crpl_gcs::station::pilot::ucc::Ucc;
+use crpl_sitl::Scenario;
+use crpl_sitl::radio::Gate;
+use crpl_sitl::radio::message::Command;
+use crpl_sitl::scenario::Rule;
+use crpl_sitl::units::{Motion, Tick, TxPower};
+use crpl_sitl::world::World;
 use nalgebra::Vector2;
-use sitl::Scenario;
-use sitl::msg::{Command, Motion, TxPower};
-use sitl::radio::Gate;
-use sitl::scenario::Rule;
-use sitl::units::Tick;
-use sitl::world::{World, channel};
 use tests::golden::{Flight, Flights, assert_vector_close, read, vector};
 
 /// Flies `decide`, compares the first `exact` steps with the reference's and the others to 0.05 units;
@@ -23,8 +23,9 @@ fn fly(
     exact: usize,
     mut decide: impl FnMut(&Present) -> (Motion, TxPower),
 ) -> Vector2<f64> {
+    assert_eq!(scenario.radio.rule, Rule::Drop);
     let mut world = World::new(scenario);
-    let mut gate = Gate::new(Rule::Drop);
+    let mut gate = Gate::default();
     let mut link = None;
     for k in 0..flight.a_commanded.len() {
         let at = format!("{}, step {k}", flight.name());
@@ -41,7 +42,7 @@ fn fly(
         let wish = motion.vector();
         gate.submit(Command::new(tick, [wish.x as f32, wish.y as f32], power));
         let snr = world.snr(power, scenario);
-        gate.transmit(tick, channel::outage(scenario.radio.b_dt, snr, scenario.radio.packet_bits));
+        gate.transmit(tick, snr, &scenario.radio);
         let held = gate.held().map_or([0.0; 2], |held| held.accel.map(f64::from));
         world.step(vector(held), Vector2::zeros(), scenario);
         link = Some((snr, power));

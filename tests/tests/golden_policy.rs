@@ -4,12 +4,12 @@
 //! The reference computed in f64, our networks in f32, so probabilities agree to 1e-5. A flight is made
 //! of chosen actions alone and agrees to rounding.
 
-use model::mlp::{Dense, Mlp};
-use model::policy::{Policies, features, softmax};
+use crpl_model::numeric::mlp::{Dense, Mlp};
+use crpl_model::planning::policy::{Policies, features, softmax};
+use crpl_sitl::Scenario;
+use crpl_sitl::world::World;
 use nalgebra::Vector2;
 use serde::Deserialize;
-use sitl::Scenario;
-use sitl::world::World;
 use tests::golden::{assert_vector_close, read, vector};
 
 #[derive(Deserialize)]

@@ -2,14 +2,14 @@
 //! that shares no code with us.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
-use gcs::lab::Contender;
-use gcs::pilot::Controller;
-use gcs::run::Brain;
-use gcs::stats::Mean;
-use gcs::sweep::episode::Outcome;
-use gcs::sweep::table::Metric;
+use crpl_gcs::lab::Contender;
+use crpl_gcs::lab::stats::Mean;
+use crpl_gcs::lab::sweep::episode::Outcome;
+use crpl_gcs::lab::sweep::table::Metric;
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::Scenario;
 use serde::Deserialize;
-use sitl::Scenario;
 use tests::golden::read;
 use tests::program;
 
@@ -88,20 +88,20 @@ const FLIGHTS: u64 = 200;
 
 #[test]
 fn reactive_controllers_agree_with_the_calibration_study() {
-    let brain = Brain::load(None, None).unwrap();
+    let models = Models::load(None, None).unwrap();
     let calibration: Calibration = read("calibration").unwrap();
     std::thread::scope(|scope| {
         for row in &calibration.rows {
-            scope.spawn(|| assert_agrees(row, &brain));
+            scope.spawn(|| assert_agrees(row, &models));
         }
     });
 }
 
-fn assert_agrees(row: &Published, brain: &Brain) {
+fn assert_agrees(row: &Published, models: &Models) {
     let mut scenario = Scenario::default();
     scenario.radio.b_dt = row.b_dt;
     scenario.disturbance.sigma_c = row.kick / scenario.disturbance.noise_gain;
-    let contender = Contender::new(brain, row.controller, &scenario).unwrap();
+    let contender = Contender::new(models, row.controller, &scenario).unwrap();
     let flights: Vec<Outcome> =
         (0..FLIGHTS).map(|seed| Outcome::from(&contender.fly(200_000 + seed).unwrap())).collect();
     for (metric, published, rounding) in row.figures() {

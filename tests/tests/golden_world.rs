@@ -1,13 +1,13 @@
 //! The world agrees with the golden vectors to the files' own tolerance, 1e-9 relative.
 
+use crpl_sitl::Scenario;
+use crpl_sitl::radio::Gate;
+use crpl_sitl::radio::message::Command;
+use crpl_sitl::scenario::Rule;
+use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::units::{Motion, Snr, Tick, TxPower};
+use crpl_sitl::world::{World, channel, dynamics, energy, safety};
 use serde::Deserialize;
-use sitl::Scenario;
-use sitl::msg::{Command, Motion, TxPower};
-use sitl::radio::Gate;
-use sitl::record::{Metrics, Record};
-use sitl::scenario::Rule;
-use sitl::units::{Snr, Tick};
-use sitl::world::{World, channel, dynamics, energy, safety};
 use tests::golden::{Flight, Flights, Table, assert_close, assert_vector_close, read, vector};
 
 #[derive(Deserialize)]
@@ -29,7 +29,8 @@ fn dynamics_step() {
     let table: Table<Step> = read("dynamics_step").unwrap();
     assert!(table.cases.len() >= 60, "{} cases", table.cases.len());
     for (i, case) in table.cases.iter().enumerate() {
-        let dynamics = sitl::scenario::Dynamics { walls: case.walls, ..table.params.scenario().dynamics };
+        let dynamics =
+            crpl_sitl::scenario::Dynamics { walls: case.walls, ..table.params.scenario().dynamics };
         let before = dynamics::State { r: vector(case.r), v: vector(case.v) };
         // The files give the disturbance as sigma times w; the scenario's own gain is not in them.
         let kick = case.sigma_c * vector(case.w);
@@ -178,8 +179,9 @@ fn closed_loop_flights_from_their_commands() {
 }
 
 fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
+    assert_eq!(scenario.radio.rule, Rule::Drop);
     let mut world = World::new(scenario);
-    let mut gate = Gate::new(Rule::Drop);
+    let mut gate = Gate::default();
     let mut records = Vec::new();
     for k in 0..flight.a_commanded.len() {
         let at = format!("{name}, step {k}");
@@ -193,9 +195,8 @@ fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
         gate.submit(Command::new(Tick(k as u64), [wish.x as f32, wish.y as f32], power));
         let snr = world.snr(power, scenario);
         assert_close(snr.0, flight.snr[k], 1e-9, &format!("{at}: snr"));
-        let outage = channel::outage(scenario.radio.b_dt, snr, scenario.radio.packet_bits);
+        let outage = gate.transmit(Tick(k as u64), snr, &scenario.radio).outage;
         assert_eq!(outage, flight.outage[k], "{at}: outage");
-        gate.transmit(Tick(k as u64), outage);
         let held = gate.held().map_or([0.0; 2], |held| held.accel.map(f64::from));
         assert_eq!(held, flight.a_applied[k], "{at}: held action");
 

@@ -4,15 +4,15 @@
 
 use std::path::Path;
 
-use model::checkpoint::{Writer, write_all};
-use model::dataset::{self, Start};
-use model::lens::{MIXED, Shot};
-use model::predictor::Half;
-use model::weights::{Colour, LATENT};
-use model::world_model::WorldModel;
-use sitl::Scenario;
-use sitl::camera::{CHANNELS, Frame, SIDE};
-use sitl::world::noise::Noise;
+use crpl_model::encoder::weights::{Colour, LATENT};
+use crpl_model::predictor::linear::Half;
+use crpl_model::training::lens::{MIXED, Shot};
+use crpl_model::world_model::WorldModel;
+use crpl_model::world_model::checkpoint::{Writer, write_all};
+use crpl_model::world_model::dataset::{self, Start};
+use crpl_sitl::Scenario;
+use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
+use crpl_sitl::world::noise::Noise;
 use tests::python;
 
 /// Episodes whose first picture is encoded and whose actions are rolled out.
@@ -31,7 +31,7 @@ fn so_they_do_behind_a_colour_layer() {
     let mut model = WorldModel::embedded().unwrap();
     let mut weights = model.encoder.weights().clone();
     weights.input.colour = Some(Colour { w: [[1.0, -0.03, -0.04], [0.06, -0.03, 1.0]], b: [-0.1, -0.08] });
-    model.encoder = model::infer::Encoder::new(weights);
+    model.encoder = crpl_model::encoder::infer::Encoder::new(weights);
     agrees(&model);
 }
 

@@ -7,10 +7,11 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use gcs::fly::{Ended, Options, fly};
-use sitl::msg::{Command, Percept, TxPower};
-use sitl::record::Record;
-use sitl::{Scenario, Sim};
+use crpl_gcs::flight::{Ended, Options, fly};
+use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::sim::record::Record;
+use crpl_sitl::units::TxPower;
+use crpl_sitl::{Scenario, Sim};
 use tests::program::{self, Program};
 use tests::python;
 use tests::relay::Relay;
@@ -35,11 +36,7 @@ fn decide(percept: &Percept, scenario: &Scenario) -> Command {
     };
     let sum: u32 = percept.frame.rgb().iter().map(|&byte| u32::from(byte)).sum();
     let power = if sum.is_multiple_of(2) { TxPower::Low } else { TxPower::High };
-    let mut command = Command::new(told.tick, [axis(0), axis(1)], power);
-    for n in 0..sum % 3 {
-        command.plan.push([axis(1), n as f32]);
-    }
-    command
+    Command::new(told.tick, [axis(0), axis(1)], power)
 }
 
 /// One line per interval, from the percepts and the commands between them.

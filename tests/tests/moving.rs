@@ -5,14 +5,15 @@
 
 use std::path::{Path, PathBuf};
 
-use gcs::lab::{self, Contender, Scored};
-use gcs::pilot::Controller;
-use gcs::run::{self, Brain};
+use crpl_gcs::lab::run;
+use crpl_gcs::lab::{self, Contender, Scored};
+use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::units::Tick;
+use crpl_sitl::world::noise::{Noise, Stream};
+use crpl_sitl::world::obstacles::Obstacles;
+use crpl_sitl::{Scenario, Sim, camera};
 use nalgebra::Vector2;
-use sitl::units::Tick;
-use sitl::world::noise::{Noise, Stream};
-use sitl::world::obstacles::Obstacles;
-use sitl::{Scenario, Sim, camera};
 use tests::program;
 
 const FLIGHTS: u64 = 4;
@@ -23,7 +24,7 @@ fn config(name: &str) -> PathBuf {
 
 fn fly(controller: Controller, name: &str) -> Vec<Scored> {
     let scenario = Scenario::load(&config(name)).unwrap();
-    let contender = Contender::new(&Brain::load(None, None).unwrap(), controller, &scenario).unwrap();
+    let contender = Contender::new(&Models::load(None, None).unwrap(), controller, &scenario).unwrap();
     (0..FLIGHTS).map(|seed| contender.fly(seed).unwrap()).collect()
 }
 
@@ -48,7 +49,7 @@ fn crpl_rh_goes_round_what_flies_into_crpl() {
 #[test]
 fn two_obstacles_are_read_as_well_as_one() {
     let scenario = Scenario::load(&config("two_obstacles.toml")).unwrap();
-    let world = Brain::load(None, None).unwrap().world;
+    let world = Models::load(None, None).unwrap().world;
     let (noise, mut draw) = (Noise::new(1), 0);
     let mut near = |centre: Vector2<f64>, spread: f64, margin: f64| {
         draw += 1;
@@ -83,7 +84,7 @@ fn two_obstacles_are_read_as_well_as_one() {
 #[test]
 fn two_obstacles_over_udp_are_those_in_process() {
     let scenario = Scenario::load(&config("two_obstacles.toml")).unwrap();
-    let mut station = Brain::load(None, None).unwrap().station(Controller::CrplRh, &scenario).unwrap();
+    let mut station = Models::load(None, None).unwrap().station(Controller::CrplRh, &scenario).unwrap();
     let (ticks, folder) = (30, tempfile::tempdir().unwrap());
     lab::fly(&mut Sim::new(scenario, 5), &mut station, ticks);
     let here = folder.path().join("here.jsonl");

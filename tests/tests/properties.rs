@@ -1,14 +1,14 @@
 //! What holds for every world, command, seed and scenario, not only for those of the examples.
 
+use crpl_sitl::camera::{CHANNELS, SIDE, render};
+use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::radio::{Fates, Gate};
+use crpl_sitl::scenario::{Radio, Rule, Scenario};
+use crpl_sitl::units::{Motion, Scale, Snr, Tick, TxPower};
+use crpl_sitl::world::{channel, dynamics, energy, safety};
+use crpl_sitl::{Sim, world::dynamics::State};
 use nalgebra::Vector2;
 use proptest::prelude::*;
-use sitl::camera::{CHANNELS, SIDE, render};
-use sitl::msg::{Command, Motion, Percept, TxPower};
-use sitl::radio::{Fates, Gate};
-use sitl::scenario::{Rule, Scenario};
-use sitl::units::{Scale, Snr, Tick};
-use sitl::world::{channel, dynamics, energy, safety};
-use sitl::{Sim, world::dynamics::State};
 
 /// Any point of the square.
 fn point() -> impl Strategy<Value = Vector2<f64>> {
@@ -26,6 +26,12 @@ fn power() -> impl Strategy<Value = TxPower> {
 
 fn rule() -> impl Strategy<Value = Rule> {
     prop_oneof![Just(Rule::Ideal), Just(Rule::Drop), Just(Rule::Queue)]
+}
+
+/// Half the SNR that just carries a packet of the default radio, or twice that.
+fn snr(outage: bool) -> Snr {
+    let radio = Radio::default();
+    Snr(channel::outage_snr(radio.b_dt, radio.packet_bits).0 * if outage { 0.5 } else { 2.0 })
 }
 
 /// An acceleration as it may come off the wire: any finite f32, most of them sensible.
@@ -157,13 +163,13 @@ proptest! {
         rule in rule(),
         events in prop::collection::vec((0u64..40, any::<bool>(), any::<bool>(), power()), 1..120),
     ) {
-        let mut gate = Gate::new(rule);
+        let mut gate = Gate::default();
         let (mut now, mut flown) = (0, None);
         for (tick, submits, outage, power) in events {
             if submits {
                 gate.submit(Command::new(Tick(tick), [0.0; 2], power));
             } else {
-                gate.transmit(Tick(now), outage);
+                gate.transmit(Tick(now), snr(outage), &Radio { rule, ..Radio::default() });
                 now += 1;
             }
             prop_assert_eq!(total(gate.fates()), gate.fates().sent);
@@ -181,13 +187,13 @@ proptest! {
 
     #[test]
     fn a_stale_command_changes_nothing(newest in 1u64..50, age in 1u64..50, power in power()) {
-        let mut gate = Gate::new(Rule::Drop);
+        let mut gate = Gate::default();
         gate.submit(Command::new(Tick(newest), [1.0, 2.0], power));
         let other = if power == TxPower::Low { TxPower::High } else { TxPower::Low };
         let stale = Command::new(Tick(newest.saturating_sub(age)), [3.0, 4.0], other);
         gate.submit(stale);
         prop_assert_eq!(gate.power(), power);
-        gate.transmit(Tick(newest), false);
+        gate.transmit(Tick(newest), snr(false), &Radio::default());
         prop_assert_eq!(gate.held().map(|h| (h.tick, h.accel)), Some((Tick(newest), [1.0, 2.0])));
         gate.submit(stale);
         prop_assert_eq!(gate.power(), power);

@@ -6,8 +6,8 @@ use std::io::Read;
 use std::net::{SocketAddr, TcpListener};
 use std::path::Path;
 
-use sitl::link::decoder::Decoder;
-use sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA};
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA};
 use tests::program::{self, Finished, PATIENCE, Program};
 use tests::relay::Relay;
 

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
+use crpl_sitl::Scenario;
+use crpl_sitl::sim::record::Record;
+use crpl_sitl::units::TxPower;
+use crpl_sitl::world::World;
+use crpl_sitl::world::obstacles::Obstacles;
 use nalgebra::Vector2;
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use sitl::Scenario;
-use sitl::msg::TxPower;
-use sitl::record::Record;
-use sitl::world::World;
-use sitl::world::obstacles::Obstacles;
 
 use super::plot;
 

@@ -1,11 +1,11 @@
 //! The oracle of the hand-written reverse mode: the same objective in burn's tensors, differentiated by
 //! burn; and worlds and rollouts of which nothing is special. Used by the tests and by the bench.
 
-use model::crpl::{self, Draws, Head, Limits, Objective, Plant};
-use model::heads_at::SightLine;
-use model::kernel::LANES;
-use model::mlp::Mlp;
-use model::probe::{Affine, Probe};
+use crpl_model::encoder::probe::{Affine, Probe};
+use crpl_model::heads::networks::SightLine;
+use crpl_model::numeric::kernel::LANES;
+use crpl_model::numeric::mlp::Mlp;
+use crpl_model::planning::objective::{self, Draws, Head, Limits, Objective, Plant};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -96,7 +96,7 @@ pub mod by_autodiff {
     impl Net {
         fn new(net: &Mlp, learn: bool, device: &Device) -> Self {
             let leaf = |t: Tensor<2>| if learn { t.require_grad() } else { t };
-            let layer = |l: &model::mlp::Dense| {
+            let layer = |l: &crpl_model::numeric::mlp::Dense| {
                 (
                     leaf(matrix(&l.w, [l.inputs, l.outputs], device)),
                     leaf(matrix(&l.b, [1, l.outputs], device)),
@@ -159,9 +159,11 @@ pub mod by_autodiff {
             let nearest: Vec<f32> = values
                 .chunks_exact(2)
                 .flat_map(|w| {
-                    let v =
-                        sitl::msg::Motion::nearest(nalgebra::Vector2::new(f64::from(w[0]), f64::from(w[1])))
-                            .vector();
+                    let v = crpl_sitl::units::Motion::nearest(nalgebra::Vector2::new(
+                        f64::from(w[0]),
+                        f64::from(w[1]),
+                    ))
+                    .vector();
                     [v.x as f32, v.y as f32]
                 })
                 .collect();
@@ -188,7 +190,7 @@ pub mod by_autodiff {
         let least = safe.clone().min_dim(1).detach();
         let safe =
             least.clone() - ((safe - least).neg() * objective.beta).exp().sum_dim(1).log() / objective.beta;
-        let (w, _) = crpl::barrier_weight(eta, objective.barrier_residual);
+        let (w, _) = objective::barrier_weight(eta, objective.barrier_residual);
         let log = |p: Tensor<1>, tolerance: f64| (p - 1.0 + tolerance).log();
         let j = cost.mean()
             - (log(safe.mean(), objective.collision_tolerance)

@@ -2,10 +2,9 @@
 //! first. `udpin://HOST:PORT` is the same; `udp:` means `udpin:` and `tcp:` means `tcpout:`, as
 //! pymavlink has it. Without a host it is 127.0.0.1: whoever wants the world says `0.0.0.0`.
 
-use std::fmt;
-use std::io;
 use std::net::SocketAddr;
 use std::str::FromStr;
+use std::{fmt, io};
 
 use tokio::net::{UdpSocket, lookup_host};
 

@@ -10,8 +10,8 @@
 use crate::link::dialect::{
     self, MavBatteryChargeState, MavBatteryFault, MavBatteryFunction, MavBatteryType,
 };
-use crate::msg::TxPower;
 use crate::scenario::Scenario;
+use crate::units::TxPower;
 use crate::world::energy;
 
 const VOLTS: f64 = 14.8;

@@ -11,7 +11,8 @@ use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, Handshake, Wish};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
-use crate::msg::{Command, TxPower};
+use crate::radio::message::Command;
+use crate::units::TxPower;
 
 const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
 const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
@@ -36,7 +37,7 @@ impl Vehicle {
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
             if target.is(self.system, AUTOPILOT) {
                 self.watch.arrived();
-                self.setpoint(setpoint, from, now);
+                self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
             self.ask(&ask, asker, from, now);
@@ -80,22 +81,15 @@ impl Vehicle {
         }
     }
 
-    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now. Steps of a plan
-    /// wait for their command, which comes behind them.
-    fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, from: PeerId, now: Duration) {
-        let Setpoint { stamp_ms, accel, step } = match setpoint {
+    /// A stamp that is a tick's, of now or earlier, names that tick; any other means now.
+    fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, now: Duration) {
+        let Setpoint { stamp_ms, accel } = match setpoint {
             Ok(setpoint) => setpoint,
             Err(refusal) => return self.refuse(refusal, now),
         };
         let current = self.sim.tick();
-        let named = self.clock.tick(stamp_ms);
-        if let (Some(step), Some(tick)) = (step, named) {
-            return self.steps.add(from, tick, step, accel);
-        }
-        let stamped = named.filter(|&tick| tick <= current);
+        let stamped = self.clock.tick(stamp_ms).filter(|&tick| tick <= current);
         let tick = stamped.unwrap_or(current);
-        let plan = stamped.and_then(|tick| self.steps.take(from, tick)).unwrap_or_default();
-        let command = Command { plan, ..Command::new(tick, accel, self.sim.power()) };
         if self.over() {
             self.acknowledged |= stamped == Some(current);
             return;
@@ -108,7 +102,7 @@ impl Vehicle {
         }
         self.begun = true;
         if self.takes_setpoints() {
-            self.sim.handle(command);
+            self.sim.handle(Command::new(tick, accel, self.sim.power()));
             return;
         }
         self.tally.ignored += 1;

@@ -10,9 +10,8 @@
 
 use super::Vehicle;
 use crate::link::decoder::Packet;
-use crate::link::dialect;
 use crate::link::wire::Target;
-use crate::link::{AUTOPILOT, PeerId};
+use crate::link::{AUTOPILOT, PeerId, dialect};
 
 /// Where the operation begins in the message, and what stands where in it (MAVLink FTP, payload format).
 const OPERATION: usize = 3;

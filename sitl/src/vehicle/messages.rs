@@ -46,8 +46,8 @@ use crate::link::dialect::{
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
 use crate::link::{AUTOPILOT, RADIO};
-use crate::msg::Telemetry;
 use crate::radio::Fates;
+use crate::radio::message::Telemetry;
 use crate::units::Scale;
 
 /// Throttle of a hover, percent: ArduCopter's MOT_THST_HOVER is 0.35.

@@ -37,9 +37,9 @@ use crate::link::param_file::Entry;
 use crate::link::signing::Policy;
 use crate::link::wire::Target;
 use crate::link::{AUTOPILOT, PeerId, RADIO};
-use crate::msg::TxPower;
 use crate::scenario::{Action, Rule, Scenario};
 use crate::sim::Sim;
+use crate::units::TxPower;
 
 /// A parameter's place in its component's table, its name and what it holds.
 struct Param {

@@ -10,8 +10,7 @@ use super::modes::Mode;
 use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
-use crate::link::{AUTOPILOT, PeerId};
-use crate::link::{image, wire};
+use crate::link::{AUTOPILOT, PeerId, image, wire};
 
 /// No row of the table is longer, bytes.
 const LONGEST: usize = 280;

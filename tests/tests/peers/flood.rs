@@ -7,11 +7,11 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use sitl::link::decoder::{Decoder, Packet};
-use sitl::link::dialect::{
+use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::dialect::{
     self, HEARTBEAT_DATA, MavFrame, PING_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
-use sitl::link::encoder::Encoder;
+use crpl_sitl::link::encoder::Encoder;
 use tests::program::{self, PATIENCE};
 
 const FRAMES: u64 = 100_000;

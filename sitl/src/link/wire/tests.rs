@@ -168,9 +168,14 @@ fn setpoints_are_taken_or_refused_for_a_reason() {
         }
     };
     let verdict = |packet: Packet| setpoint_of(&packet).unwrap().1;
-    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0], step: None });
+    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0] });
     assert_eq!(verdict(setpoint(|_| {})), good);
     assert_eq!(verdict(setpoint(|m| (m.x, m.yaw) = (f32::NAN, f32::NAN))), good);
+    let ignored = setpoint(|m| {
+        (m.x, m.y, m.z) = (1.0, 2.0, 3.0);
+        (m.vx, m.vy, m.vz) = (4.0, 5.0, 6.0);
+    });
+    assert_eq!(verdict(ignored), good, "position and velocity are ignored");
     assert_eq!(verdict(setpoint(mask(0x3F))), good, "yaw is not flown");
     assert_eq!(verdict(setpoint(mask(MASK_ACCEL | 0xF000))), good, "bits without a meaning");
     assert_eq!(verdict(setpoint(mask(0x0DFF))), Err(Refusal::NotAcceleration));

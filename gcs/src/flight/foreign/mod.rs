@@ -1,0 +1,116 @@
+//! CRPL on an autopilot that is not ours: ArduCopter in GUIDED, PX4 in OFFBOARD.
+//!
+//! The autopilot tells its place and speed; from these the scene is drawn as `sitl`'s camera draws it,
+//! and the radio is modelled at the vehicle's place. What CRPL decides goes out as accelerations.
+//!
+//! | module | what it is | what it does not know |
+//! |---|---|---|
+//! | [`scene`] | telemetry to percepts, commands through the radio gate | protocols |
+//! | [`tracking`] | accelerations that are flown as they were meant, and the height | protocols |
+//! | [`guide`] | mode, arming, climb, setpoints in time | sockets, clocks |
+
+pub mod guide;
+pub mod scene;
+pub mod tracking;
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use crpl_sitl::Scenario;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::radio::message::{Command, Percept};
+use tokio::time::{Instant, sleep_until};
+
+use crate::flight::{Ended, Flight, Options};
+use crate::tools::bridge::hub::Hub;
+use crate::tools::bridge::router::Notice;
+use crate::tools::bridge::tell;
+use guide::{Event, Guide, Stack};
+
+/// The scenario of a flight on a foreign autopilot: `configs/foreign.toml`, compiled in.
+const SCENARIO: &str = include_str!("../../../../configs/foreign.toml");
+
+/// The scenario that is flown unless told otherwise.
+pub fn scenario() -> Result<Scenario> {
+    Scenario::from_toml(SCENARIO).map_err(|error| error.context("configs/foreign.toml"))
+}
+
+/// Which vehicle, and how.
+#[derive(Debug, Clone, Copy)]
+pub struct Foreign {
+    /// Whose rules.
+    pub stack: Stack,
+    /// Its system id, or the first that is heard.
+    pub system: Option<u8>,
+    /// How much faster than real time its simulator runs.
+    pub speedup: f64,
+}
+
+/// Takes the vehicle off and flies `station` on it, which is asked once for each percept.
+pub async fn fly(
+    connect: &Endpoint,
+    scenario: &Scenario,
+    foreign: &Foreign,
+    options: &Options,
+    mut station: impl FnMut(&Percept) -> Command,
+) -> Result<Flight> {
+    let mut hub = options.open(connect).await?;
+    let ticks = options.ticks.unwrap_or(scenario.horizon);
+    let mut guide = Guide::new(scenario.clone(), foreign, ticks);
+    let start = Instant::now();
+    let mut flight = Flight::default();
+    let mut begun = None;
+    loop {
+        let now = start.elapsed();
+        let datagram = guide.poll(now);
+        if !datagram.is_empty() {
+            hub.send(&datagram).await?;
+        }
+        while let Some(event) = guide.take() {
+            match event {
+                Event::Say(text) => tracing::info!("{text}"),
+                Event::Held(system) => hub.hold(Some(system)),
+                Event::Percept(percept) => {
+                    let arrived = Instant::now();
+                    let command = station(&percept);
+                    hub.send(&guide.fly(&command, start.elapsed())).await?;
+                    flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                    flight.wall = arrived - *begun.get_or_insert(arrived);
+                    flight.last = Some(percept);
+                }
+                Event::Over(percept) => flight.last = Some(percept),
+                Event::Holding => return end(hub, flight, Ended::Over).await,
+                Event::TakenOver(why) => {
+                    tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
+                    return end(hub, flight, Ended::TakenOver).await;
+                }
+                Event::Failed(why) => bail!("{connect}: {why}"),
+            }
+        }
+        let due = start + guide.due().max(now + Duration::from_millis(1));
+        tokio::select! {
+            turned = hub.turn() => turned?,
+            () = sleep_until(due) => {}
+            _ = tokio::signal::ctrl_c() => {
+                let datagram = guide.let_go(start.elapsed());
+                hub.send(&datagram).await?;
+                return end(hub, flight, Ended::Interrupted).await;
+            }
+        }
+        for notice in hub.notices() {
+            tell(&notice, &hub);
+            if matches!(notice, Notice::ModeChange(_)) {
+                guide.taken_over("mode changed");
+            }
+        }
+        while let Some(datagram) = hub.take() {
+            guide.datagram(&datagram, start.elapsed());
+        }
+    }
+}
+
+async fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
+    hub.close().await?;
+    let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
+    Ok(Flight { ended, packets: hub.counts(), lost, held_back: hub.router().held_back(), ..flight })
+}

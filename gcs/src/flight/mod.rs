@@ -1,0 +1,459 @@
+//! The shell that flies a station: percept in, command out, until the last tick.
+//!
+//! The same loop serves a vehicle in lockstep and one in real time. What comes late or not at all
+//! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
+//! away. Knows no controller: the station is a function.
+//!
+//! Others may watch through the same program ([`Options::outs`]). While it flies, their setpoints
+//! for the vehicle stay here; an operator's change of mode passes, and once the vehicle has taken it
+//! the station sends no more: it says so and goes on passing messages to and fro.
+
+pub mod foreign;
+pub mod remote;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use crpl_sitl::Scenario;
+use crpl_sitl::link::decoder::Counts;
+use crpl_sitl::link::dialect::MavSeverity;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::shell::Backoff;
+use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::units::Tick;
+use tokio::time::{Instant, interval, sleep};
+
+use crate::flight::remote::{Event, Remote};
+use crate::tools::bridge::hub::Hub;
+use crate::tools::bridge::router::Notice;
+use crate::tools::bridge::tell;
+use crate::tools::fleet::News;
+
+/// The station's heartbeat.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// How often, and how far apart, the last percept is acknowledged: the vehicle does not answer.
+const FAREWELLS: (u32, Duration) = (4, Duration::from_millis(15));
+
+/// How to fly.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The flight ends with the percept of this tick; `None` flies until Ctrl-C.
+    pub ticks: Option<u64>,
+    /// Where to write the tlog.
+    pub tlog: Option<PathBuf>,
+    /// File with the key of message signing.
+    pub signing_key: Option<PathBuf>,
+    /// Who else talks to the vehicle through this program.
+    pub outs: Vec<Endpoint>,
+    /// How long to wait for the first percept, and for any next one, also where the link is lost.
+    pub patience: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            ticks: None,
+            tlog: None,
+            signing_key: None,
+            outs: Vec::new(),
+            patience: Duration::from_secs(30),
+        }
+    }
+}
+
+impl Options {
+    /// Opens the link to the vehicle and those to who else is there.
+    pub async fn open(&self, connect: &Endpoint) -> Result<Hub> {
+        let mut hub = Hub::default();
+        hub.local();
+        let shown = hub.open(connect).await?;
+        tracing::debug!("{shown}");
+        for out in &self.outs {
+            let shown = hub.open(out).await?;
+            tracing::info!("out: {shown}");
+        }
+        if let Some(path) = &self.tlog {
+            hub.log_to(path)?;
+        }
+        if let Some(path) = &self.signing_key {
+            hub.sign_with(path)?;
+        }
+        Ok(hub)
+    }
+}
+
+/// Why a flight has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Ended {
+    /// After its last tick.
+    #[default]
+    Over,
+    /// By Ctrl-C.
+    Interrupted,
+    /// The operator has changed the vehicle's mode, and flies.
+    TakenOver,
+}
+
+/// A flight from the station's side.
+#[derive(Debug, Clone, Default)]
+pub struct Flight {
+    /// Why it has ended.
+    pub ended: Ended,
+    /// The newest percept. After `ticks` it closes the last interval; the station has not been
+    /// asked for a command to it.
+    pub last: Option<Percept>,
+    /// From the last datagram of a percept to its command on the socket, one a percept, µs.
+    pub latencies_us: Vec<f64>,
+    /// From the first percept to the last.
+    pub wall: Duration,
+    /// How often the vehicle has asked again for a command.
+    pub repeats: u64,
+    /// What arrived.
+    pub packets: Counts,
+    /// Frames of the vehicle that never came.
+    pub lost: u64,
+    /// Setpoints of others that were kept from the vehicle.
+    pub held_back: u64,
+    /// Reports and pictures that did not fit.
+    pub misfits: u64,
+}
+
+/// Flies `station`, which is asked once for each percept, in the order of ticks.
+pub async fn fly(
+    connect: &Endpoint,
+    scenario: &Scenario,
+    options: &Options,
+    mut station: impl FnMut(&Percept) -> Command,
+) -> Result<Flight> {
+    let mut shell = Shell::open(connect, scenario, options).await?;
+    let mut beat = interval(HEARTBEAT);
+    let mut resend = Backoff::default();
+    loop {
+        shell.check()?;
+        tokio::select! {
+            turned = shell.hub.turn() => turned?,
+            () = resend.elapsed() => {
+                shell.repeat().await?;
+                resend.lengthen();
+            }
+            _ = beat.tick() => shell.beat().await?,
+            _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted).await,
+        }
+        for notice in shell.hub.notices() {
+            tell(&notice, &shell.hub);
+            if matches!(notice, Notice::ModeChange(_)) {
+                return shell.taken_over("mode changed").await;
+            }
+        }
+        let arrived = shell.hub.arrived();
+        while let Some(datagram) = shell.hub.take() {
+            for event in shell.datagram(&datagram) {
+                match event {
+                    Event::Percept(percept) => {
+                        shell.percept(&percept, arrived);
+                        if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
+                            return shell.over(percept).await;
+                        }
+                        let command = shell.remote.command(&station(&percept));
+                        shell.hub.send(&command).await?;
+                        shell.flight.last = Some(percept);
+                        shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                        resend = Backoff::default();
+                    }
+                    Event::Repeat(_) => {
+                        shell.flight.repeats += 1;
+                        shell.repeat().await?;
+                    }
+                    Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    Event::News(news) => news.log(),
+                    Event::LeftGuided(mode) => {
+                        return shell.taken_over(&format!("vehicle is in {mode}")).await;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Sockets and protocol of a flight.
+struct Shell<'a> {
+    connect: &'a Endpoint,
+    options: &'a Options,
+    hub: Hub,
+    remote: Remote,
+    first_percept: Option<Instant>,
+    last_percept: Instant,
+    interval_s: f64,
+    flight: Flight,
+}
+
+impl<'a> Shell<'a> {
+    async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
+        Ok(Self {
+            connect,
+            options,
+            hub: options.open(connect).await?,
+            remote: Remote::new(scenario),
+            first_percept: None,
+            last_percept: Instant::now(),
+            interval_s: scenario.scale.interval_s,
+            flight: Flight::default(),
+        })
+    }
+
+    /// A clear word instead of waiting for ever.
+    fn check(&mut self) -> Result<()> {
+        self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
+        let (connect, waited) = (self.connect, self.last_percept.elapsed());
+        if waited <= self.options.patience {
+            return Ok(());
+        }
+        let seconds = self.options.patience.as_secs_f64();
+        match (self.remote.system(), self.remote.newest()) {
+            (None, _) => bail!("{connect}: no MAVLink vehicle heard for {seconds} s; is sitl running there?"),
+            (Some(system), None) => bail!(
+                "{connect}: vehicle {system} talks, but no report with a picture came for {seconds} s \
+                 ({} did not fit: is its control interval {} s?)",
+                self.remote.misfits(),
+                self.interval_s
+            ),
+            (Some(system), Some(tick)) if self.remote.is_lost() => {
+                bail!(
+                    "{connect}: vehicle {system}: link lost after tick {}, and not regained for {seconds} s",
+                    tick.0
+                )
+            }
+            (Some(system), Some(tick)) => {
+                bail!("{connect}: vehicle {system} sent no new percept for {seconds} s after tick {}", tick.0)
+            }
+        }
+    }
+
+    fn datagram(&mut self, bytes: &[u8]) -> Vec<Event> {
+        let known = self.remote.system();
+        let events = self.remote.datagram(bytes, self.hub.elapsed());
+        if known.is_none() && self.remote.system().is_some() {
+            self.hub.hold(self.remote.system());
+        }
+        events
+    }
+
+    fn percept(&mut self, percept: &Percept, arrived: Instant) {
+        let first = *self.first_percept.get_or_insert(arrived);
+        self.last_percept = arrived;
+        self.flight.wall = arrived - first;
+        tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// Something is missing.
+    async fn repeat(&mut self) -> Result<()> {
+        for datagram in self.remote.repeat() {
+            self.hub.send(&datagram).await?;
+        }
+        Ok(())
+    }
+
+    async fn beat(&mut self) -> Result<()> {
+        self.hub.save()?;
+        let datagram = self.remote.heartbeat();
+        self.hub.send(&datagram).await
+    }
+
+    /// The last percept is here: says so often enough for a path that loses datagrams.
+    async fn over(mut self, percept: Percept) -> Result<Flight> {
+        let (times, pause) = FAREWELLS;
+        for k in 0..times {
+            if k > 0 {
+                sleep(pause).await;
+            }
+            let datagram = self.remote.acknowledgement(percept.telemetry.tick);
+            self.hub.send(&datagram).await?;
+        }
+        self.flight.last = Some(percept);
+        self.end(Ended::Over).await
+    }
+
+    /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
+    /// this program, goes on passing their messages to and fro, until Ctrl-C or the link is lost.
+    async fn taken_over(mut self, why: &str) -> Result<Flight> {
+        self.flight.held_back = self.hub.router().held_back();
+        self.hub.hold(None);
+        tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
+        let said =
+            self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
+        self.hub.send(&said).await?;
+        let mut beat = interval(HEARTBEAT);
+        while !self.options.outs.is_empty() && !self.remote.is_lost() {
+            tokio::select! {
+                turned = self.hub.turn() => turned?,
+                _ = beat.tick() => self.beat().await?,
+                _ = tokio::signal::ctrl_c() => break,
+            }
+            while let Some(datagram) = self.hub.take() {
+                self.remote.datagram(&datagram, self.hub.elapsed());
+            }
+            self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
+        }
+        self.end(Ended::TakenOver).await
+    }
+
+    async fn end(mut self, ended: Ended) -> Result<Flight> {
+        self.hub.close().await?;
+        let held_back = self.flight.held_back.max(self.hub.router().held_back());
+        let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
+        let (packets, misfits) = (self.hub.counts(), self.remote.misfits());
+        Ok(Flight { ended, packets, lost, held_back, misfits, ..self.flight })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+
+    use crpl_sitl::Sim;
+    use crpl_sitl::units::TxPower;
+    use crpl_sitl::vehicle::Vehicle;
+    use tokio::net::UdpSocket;
+
+    use super::*;
+
+    const TICKS: u64 = 30;
+    const TIMEOUT: Duration = Duration::from_secs(60);
+
+    fn endpoint(text: &str) -> Endpoint {
+        text.parse().unwrap()
+    }
+
+    fn station(percept: &Percept) -> Command {
+        let [north, east] = percept.telemetry.position;
+        let power = if percept.telemetry.tick.0.is_multiple_of(3) { TxPower::High } else { TxPower::Low };
+        Command::new(percept.telemetry.tick, [(north * 7.0).sin(), (east * 7.0).cos()], power)
+    }
+
+    fn direct() -> Vec<Percept> {
+        let mut sim = Sim::new(Scenario::default(), 3);
+        let mut percepts = vec![sim.percept()];
+        for k in 0..TICKS as usize {
+            sim.handle(station(&percepts[k]));
+            sim.advance();
+            percepts.push(sim.percept());
+        }
+        percepts
+    }
+
+    /// A vehicle on a free port; gives its address.
+    async fn vehicle(lockstep: bool) -> SocketAddr {
+        let (socket, _) = endpoint("udpin:127.0.0.1:0").open().await.unwrap();
+        let address = socket.local_addr().unwrap();
+        let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
+        tokio::spawn(async move {
+            let mut shell = crpl_sitl::program::shell::Shell::new(socket, vehicle, None);
+            if lockstep { shell.lockstep().await } else { shell.real_time(Duration::from_millis(10)).await }
+        });
+        address
+    }
+
+    /// A relay to `vehicle` that loses every n-th datagram; gives the address to connect to.
+    async fn relay(vehicle: SocketAddr, n: u64) -> SocketAddr {
+        let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let address = socket.local_addr().unwrap();
+        tokio::spawn(async move {
+            let (mut buffer, mut station, mut count) = (vec![0; 65_536], None, 0_u64);
+            while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+                count += 1;
+                let to = if from == vehicle {
+                    station
+                } else {
+                    station = Some(from);
+                    Some(vehicle)
+                };
+                if let Some(to) = to.filter(|_| !count.is_multiple_of(n)) {
+                    let _ = socket.send_to(&buffer[..length], to).await;
+                }
+            }
+        });
+        address
+    }
+
+    async fn flown(address: SocketAddr, options: &Options) -> (Vec<Percept>, Flight) {
+        let mut percepts = Vec::new();
+        let connect = endpoint(&format!("udpout:{address}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, options, |percept| {
+            percepts.push(percept.clone());
+            station(percept)
+        });
+        let flight = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap();
+        percepts.extend(flight.last.clone());
+        (percepts, flight)
+    }
+
+    fn options() -> Options {
+        Options { ticks: Some(TICKS), ..Options::default() }
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_udp_is_the_flight_in_process() {
+        let (percepts, flight) = flown(vehicle(true).await, &options()).await;
+        assert_eq!(percepts, direct());
+        assert_eq!(flight.ended, Ended::Over);
+        assert_eq!(flight.latencies_us.len(), TICKS as usize);
+        assert_eq!(flight.misfits, 0);
+    }
+
+    #[tokio::test]
+    async fn lockstep_over_a_lossy_path_is_the_flight_in_process() {
+        let address = relay(vehicle(true).await, 7).await;
+        let (percepts, _) = flown(address, &options()).await;
+        assert_eq!(percepts, direct());
+    }
+
+    #[tokio::test]
+    async fn real_time_flies_to_its_end() {
+        let (percepts, _) = flown(vehicle(false).await, &options()).await;
+        assert_eq!(percepts.last().map(|p| p.telemetry.tick), Some(Tick(TICKS)));
+    }
+
+    #[tokio::test]
+    async fn the_log_holds_both_directions() {
+        let path = std::env::temp_dir().join(format!("fly-{}.tlog", std::process::id()));
+        let options = Options { tlog: Some(path.clone()), ..options() };
+        flown(vehicle(true).await, &options).await;
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let (mut at, mut systems, mut last) = (0, std::collections::BTreeSet::new(), 0);
+        while at < bytes.len() {
+            let time = u64::from_be_bytes(bytes[at..at + 8].try_into().unwrap());
+            assert!(time >= last && bytes[at + 8] == 0xFD);
+            last = time;
+            systems.insert(bytes[at + 13]);
+            at += 8 + 12 + usize::from(bytes[at + 9]);
+        }
+        assert_eq!(systems.into_iter().collect::<Vec<_>>(), [1, 255]);
+    }
+
+    #[tokio::test]
+    async fn nobody_there_is_said_in_one_line() {
+        let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let connect = endpoint(&format!("udpout:{}", silent.local_addr().unwrap()));
+        let options = Options { patience: Duration::from_millis(200), ..Options::default() };
+        let error = fly(&connect, &Scenario::default(), &options, station).await.unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{connect}: no MAVLink vehicle heard")), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_link_that_falls_silent_is_told_with_its_tick() {
+        let target = vehicle(true).await;
+        let cut = relay(target, u64::MAX).await;
+        let options = Options { patience: Duration::from_secs(1), ..Options::default() };
+        // The vehicle's flight is over after its last tick, and then it falls silent.
+        let connect = endpoint(&format!("udpout:{cut}"));
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, &options, station);
+        let error = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap_err().to_string();
+        let (what, tick) = error.rsplit_once(' ').unwrap();
+        assert!(what.ends_with("vehicle 1 sent no new percept for 1 s after tick"), "{error}");
+        assert!(tick.parse::<u64>().unwrap() <= TICKS, "{error}");
+    }
+}

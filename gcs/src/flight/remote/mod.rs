@@ -1,0 +1,235 @@
+//! The vehicle as the ground station hears it: datagrams to percepts, commands to datagrams.
+//!
+//! A state machine without socket and clock. A percept is handed out once, when its report and its
+//! picture are both there, in the order of ticks; parts that came before a repeat are kept, so a
+//! path that loses datagrams only delays. Stamps and the picture's own tick keep late parts of
+//! earlier ticks out.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crpl_sitl::Scenario;
+use crpl_sitl::camera::Frame;
+use crpl_sitl::link::decoder::{Counts, Decoder, Packet};
+use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
+use crpl_sitl::link::{AUTOPILOT, STATION_COMPONENT, STATION_SYSTEM};
+use crpl_sitl::radio::message::{Command, Percept, Telemetry};
+use crpl_sitl::units::Tick;
+
+use crate::tools::fleet::{Fleet, Mode, News};
+use crate::tools::session::push_heartbeat;
+
+/// Something worth acting on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// A percept, complete, newer than all before.
+    Percept(Percept),
+    /// The vehicle has sent the report of the newest percept again: it misses our command.
+    Repeat(Tick),
+    /// STATUSTEXT: severity 0 (emergency) to 7 (debug), text.
+    Text(u8, String),
+    /// What the vehicle's heartbeats tell.
+    News(News),
+    /// The vehicle has left GUIDED for this mode: somebody else flies it.
+    LeftGuided(Mode),
+}
+
+/// The far end of the link.
+#[derive(Debug)]
+pub struct Remote {
+    clock: Clock,
+    decoder: Decoder,
+    reports: TelemetryReader,
+    images: Reassembler,
+    station: Encoder,
+    system: Option<u8>,
+    /// Of the percept to come.
+    report: Option<Telemetry>,
+    /// Of the percept to come.
+    frame: Option<(Tick, Frame)>,
+    newest: Option<Tick>,
+    command: Option<Command>,
+    /// Repeats since the newest percept.
+    repeats: u32,
+    fleet: Fleet,
+}
+
+/// Repeats without a new percept after which the pictures are asked for again.
+const PICTURES_MISSING: u32 = 5;
+
+impl Remote {
+    /// A vehicle that flies this scenario and has not been heard yet.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        Self {
+            clock: Clock::new(scenario),
+            decoder: Decoder::default(),
+            reports: TelemetryReader::default(),
+            images: Reassembler::default(),
+            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
+            system: None,
+            report: None,
+            frame: None,
+            newest: None,
+            command: None,
+            repeats: 0,
+            fleet: Fleet::default(),
+        }
+    }
+
+    /// A datagram has arrived.
+    pub fn datagram(&mut self, bytes: &[u8], now: Duration) -> Vec<Event> {
+        let packets = self.decoder.datagram(bytes);
+        let mut events = Vec::new();
+        for packet in &packets {
+            // The first autopilot that is heard is ours.
+            if packet.component == AUTOPILOT && packet.system != STATION_SYSTEM {
+                self.system.get_or_insert(packet.system);
+            }
+            if self.system == Some(packet.system) {
+                self.packet(packet, now, &mut events);
+            }
+        }
+        events
+    }
+
+    fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<Event>) {
+        if let Some(report) = self.reports.push(packet, &self.clock) {
+            if self.newest == Some(report.tick) {
+                events.push(Event::Repeat(report.tick));
+            } else if self.newest < Some(report.tick) {
+                if self.report.is_none_or(|known| known.tick < report.tick) {
+                    self.images.clear();
+                }
+                self.report = Some(report);
+            }
+        } else if let Some((tick, frame)) = self.images.push(packet) {
+            if self.newest < Some(tick) {
+                self.frame = Some((tick, frame));
+            }
+        } else if packet.is::<dialect::STATUSTEXT_DATA>()
+            && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
+        {
+            let text = message.text.to_str().unwrap_or_default().to_owned();
+            events.push(Event::Text(message.severity as u8, text));
+        } else if packet.is::<dialect::HEARTBEAT_DATA>() {
+            for news in self.fleet.packet(packet, now) {
+                events.push(Event::News(news));
+                if let News::Mode(_, before, after) = news
+                    && before.takes_setpoints()
+                    && !after.takes_setpoints()
+                {
+                    events.push(Event::LeftGuided(after));
+                }
+            }
+        }
+        events.extend(self.complete().map(Event::Percept));
+    }
+
+    /// The percept, if both of its parts are there.
+    fn complete(&mut self) -> Option<Percept> {
+        let telemetry = self.report?;
+        let (_, frame) = self.frame.take_if(|(tick, _)| *tick == telemetry.tick)?;
+        self.report = None;
+        self.newest = Some(telemetry.tick);
+        self.repeats = 0;
+        Some(Percept { telemetry, frame: Arc::new(frame) })
+    }
+
+    /// The datagram of a command: power and setpoint, so that none comes without the other.
+    pub fn command(&mut self, command: &Command) -> Vec<u8> {
+        self.command = Some(*command);
+        let mut datagram = Vec::new();
+        let system = self.system.unwrap_or_default();
+        wire::push_command(command, &self.clock, system, &mut self.station, &mut datagram);
+        datagram
+    }
+
+    /// What to send when something is missing: the newest command, and the request for pictures if
+    /// they do not flow. Every other time twice: a path that loses each n-th datagram must not lose
+    /// the same one for ever.
+    pub fn repeat(&mut self) -> Vec<Vec<u8>> {
+        self.repeats += 1;
+        let mut datagrams = Vec::new();
+        for _ in 0..1 + self.repeats % 2 {
+            if self.command.is_none() || self.repeats > PICTURES_MISSING {
+                datagrams.push(self.image_request());
+            }
+            if let Some(command) = self.command {
+                datagrams.push(self.command(&command));
+            }
+        }
+        datagrams
+    }
+
+    /// The datagram that confirms the last percept of a flight.
+    pub fn acknowledgement(&mut self, tick: Tick) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        let system = self.system.unwrap_or_default();
+        wire::push_setpoint(tick, [0.0; 2], &self.clock, system, &mut self.station, &mut datagram);
+        datagram
+    }
+
+    /// The station's heartbeat.
+    pub fn heartbeat(&mut self) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        push_heartbeat(&mut self.station, &mut datagram);
+        datagram
+    }
+
+    /// A STATUSTEXT of the station, at most 50 bytes.
+    pub fn text(&mut self, severity: MavSeverity, text: &str) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        let message = dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+        self.station.push(&mut datagram, &message);
+        datagram
+    }
+
+    /// The request for a stream of pictures.
+    pub fn image_request(&mut self) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        image::push_request(&mut self.station, &mut datagram);
+        datagram
+    }
+
+    /// Whether the link is lost by now, as news if it has just become so.
+    pub fn poll(&mut self, now: Duration) -> Vec<News> {
+        self.fleet.poll(now)
+    }
+
+    /// Whether the vehicle was heard and its heartbeats are missing.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.system.is_some_and(|system| self.fleet.is_lost(system))
+    }
+
+    /// The vehicle's system id, once heard.
+    #[must_use]
+    pub fn system(&self) -> Option<u8> {
+        self.system
+    }
+
+    /// Tick of the newest complete percept.
+    #[must_use]
+    pub fn newest(&self) -> Option<Tick> {
+        self.newest
+    }
+
+    /// What arrived so far.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.decoder.counts()
+    }
+
+    /// Reports that did not fit (another scenario's clock, not finite) and pictures glued from two.
+    #[must_use]
+    pub fn misfits(&self) -> u64 {
+        self.reports.malformed() + self.images.rejected()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! Controllers side by side against a `sitl` of one's own, over UDP on a free port.
+//!
+//! Each flight has its own vehicle with the same seed, so every controller meets the same gusts.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+use crpl_sitl::Scenario;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::signing::{Policy, Store};
+use crpl_sitl::program::cli::Pace;
+use tokio::io::{AsyncBufReadExt, BufReader, Lines};
+use tokio::process::{Child, ChildStdout, Command};
+use tokio::time::timeout;
+
+use crate::flight::{self, Ended, Options};
+use crate::lab::run::{self, Summary};
+use crate::station::models::Models;
+use crate::station::pilot::Controller;
+
+/// The demo's scenario: `configs/demo.toml`, compiled in.
+const SCENARIO: &str = include_str!("../../../configs/demo.toml");
+
+/// How long a vehicle may take to start, and to end after its last tick.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// The scenario that the demo flies unless told otherwise.
+pub fn scenario() -> Result<Scenario> {
+    Scenario::from_toml(SCENARIO).context("configs/demo.toml")
+}
+
+/// A `sitl` process that ends with us.
+struct Vehicle {
+    child: Child,
+    stdout: Lines<BufReader<ChildStdout>>,
+    endpoint: Endpoint,
+}
+
+impl Vehicle {
+    async fn start(config: &Path, flight: &Flight<'_>) -> Result<Self> {
+        let program = std::env::current_exe().context("finding this program")?;
+        let pace = match flight.pace {
+            Pace::Lockstep => "lockstep",
+            Pace::Realtime => "realtime",
+        };
+        let signing = flight.signing_key.map(vehicle_key).transpose()?;
+        let signing = signing.iter().flat_map(|path| {
+            [OsStr::new("--signing"), OsStr::new("required"), OsStr::new("--signing-key"), path.as_os_str()]
+        });
+        let mut child = Command::new(program)
+            .args(["sitl", "--listen", "udpin:127.0.0.1:0", "--pace", pace])
+            .args(["--seed", &flight.seed.to_string(), "--ticks", &flight.scenario.horizon.to_string()])
+            .args(["--speedup", &flight.speedup.to_string()])
+            .arg("--config")
+            .arg(config)
+            .args(signing)
+            .env("RUST_LOG", "warn")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .kill_on_drop(true)
+            .spawn()
+            .context("starting the vehicle")?;
+        let stdout = child.stdout.take().context("reading from the vehicle")?;
+        let mut stdout = BufReader::new(stdout).lines();
+        let line = timeout(PATIENCE, stdout.next_line()).await.context("the vehicle does not start")??;
+        let Some(address) = line.as_deref().and_then(|l| l.strip_prefix("listening on udpin:")) else {
+            bail!("the vehicle did not start: it said {line:?}");
+        };
+        let endpoint = format!("udpout:{address}").parse()?;
+        Ok(Self { child, stdout, endpoint })
+    }
+
+    /// Waits for its end; a vehicle that fails fails the demo.
+    async fn end(mut self) -> Result<()> {
+        while timeout(PATIENCE, self.stdout.next_line()).await.context("the vehicle does not end")??.is_some()
+        {
+        }
+        let status = timeout(PATIENCE, self.child.wait()).await.context("the vehicle does not end")??;
+        if !status.success() {
+            bail!("the vehicle ended with {status}");
+        }
+        Ok(())
+    }
+}
+
+/// The vehicle's own file beside the station's: the same key, and timestamps that go on.
+fn vehicle_key(path: &Path) -> Result<PathBuf> {
+    let ours = Store::new(path);
+    let wanted = ours.load(Policy::Required)?;
+    ensure!(wanted.is_on(), "--signing-key: there is no key in {}", path.display());
+    let theirs = ours.of_system(1);
+    // The vehicle is the demo's own: it follows when the station's key is another one than before.
+    if !theirs.load(Policy::Required)?.shares_key_with(&wanted) {
+        theirs.save(&wanted, true)?;
+    }
+    Ok(theirs.path().to_path_buf())
+}
+
+/// One flight to fly.
+#[derive(Debug, Clone, Copy)]
+pub struct Flight<'a> {
+    /// Who flies.
+    pub controller: Controller,
+    /// Where.
+    pub scenario: &'a Scenario,
+    /// Seed of the disturbance.
+    pub seed: u64,
+    /// Who decides when an interval passes.
+    pub pace: Pace,
+    /// Times real time, where the pace is real time.
+    pub speedup: f64,
+    /// File with the key of message signing, if the flight is signed.
+    pub signing_key: Option<&'a Path>,
+    /// Who watches.
+    pub outs: &'a [Endpoint],
+}
+
+/// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
+pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Option<Summary>> {
+    let config = run::begin(dir, flight.scenario)?;
+    let mut station = models.station(flight.controller, flight.scenario)?;
+    let vehicle = Vehicle::start(&config, flight).await?;
+    let options = Options {
+        ticks: Some(flight.scenario.horizon),
+        tlog: Some(dir.join("flight.tlog")),
+        signing_key: flight.signing_key.map(Path::to_path_buf),
+        outs: flight.outs.to_vec(),
+        ..Options::default()
+    };
+    let flown = flight::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;
+    if flown.ended != Ended::Over {
+        return Ok(None);
+    }
+    if let Some(last) = &flown.last {
+        station.finish(last);
+    }
+    vehicle.end().await?;
+    let summary = Summary::of(flight.controller, Some(flight.seed), &station, &flown)
+        .context("the flight ended before its first interval")?;
+    run::end(dir, &summary, station.records(), flight.scenario)?;
+    Ok(Some(summary))
+}

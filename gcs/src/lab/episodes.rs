@@ -1,0 +1,145 @@
+//! Many flights in process on consecutive seeds, every picture rendered and encoded, controllers
+//! paired by the same gusts.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use crpl_sitl::Scenario;
+use crpl_sitl::sim::record::Metrics;
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::lab::stats::Mean;
+use crate::lab::{Contender, Scored, demo};
+use crate::station::models::Models;
+use crate::station::pilot::Controller;
+
+/// Flags of `gcs episodes`.
+#[derive(Debug, clap::Args)]
+pub struct Episodes {
+    /// Scenario file (TOML) [default: the demo's].
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// How many seeds.
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: u64,
+    /// The first seed.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    first_seed: u64,
+    /// Who flies.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    controllers: Vec<Controller>,
+    /// Folder of a world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// File with CRPL's policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+    /// Print one JSON line per controller.
+    #[arg(long)]
+    json: bool,
+}
+
+/// One controller over all seeds.
+#[derive(Debug, Clone, Serialize)]
+pub struct Row {
+    /// Who flew.
+    pub controller: Controller,
+    /// The scenario's name.
+    pub scenario: String,
+    /// Flights.
+    pub episodes: u64,
+    /// First seed.
+    pub first_seed: u64,
+    /// Share of flights that ended in the goal region.
+    pub reached: f64,
+    /// Flights that ended with the UAV's centre within 0.02 of a wall.
+    pub at_wall: u64,
+    /// Terminal distance.
+    pub d_f: Mean,
+    /// Transmit energy.
+    pub e_comm: Mean,
+    /// Propulsion energy, J.
+    pub e_ctrl: Mean,
+    /// Largest collision probability.
+    pub p_coll_max: Mean,
+    /// Intervals in outage.
+    pub t_out: Mean,
+    /// Share of flights that pass below the obstacle (smaller y at its x).
+    pub below: f64,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Episodes) -> Result<()> {
+    let scenario = match &args.config {
+        Some(path) => Scenario::load(path)?,
+        None => demo::scenario()?,
+    };
+    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
+    let bar = ProgressBar::new(args.episodes * args.controllers.len() as u64);
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+    }
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} flights {elapsed}, {eta} left") {
+        bar.set_style(style);
+    }
+    for controller in &args.controllers {
+        let contender = Contender::new(&models, *controller, &scenario)?;
+        let flights: Vec<Scored> = (args.first_seed..args.first_seed + args.episodes)
+            .into_par_iter()
+            .map(|seed| {
+                let scored = contender.fly(seed);
+                bar.inc(1);
+                scored
+            })
+            .collect::<Result<_>>()?;
+        let row = row(*controller, &scenario, args.first_seed, &flights);
+        bar.suspend(|| show(&row, args.json))?;
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[Scored]) -> Row {
+    let mean =
+        |of: fn(&Metrics) -> f64| Mean::of(&flights.iter().map(|f| of(&f.metrics)).collect::<Vec<_>>());
+    let share = |of: fn(&Scored) -> bool| {
+        flights.iter().filter(|f| of(f)).count() as f64 / flights.len().max(1) as f64
+    };
+    Row {
+        controller,
+        scenario: scenario.name.clone(),
+        episodes: flights.len() as u64,
+        first_seed,
+        reached: share(|f| f.metrics.reached),
+        at_wall: flights.iter().filter(|f| f.at_wall).count() as u64,
+        d_f: mean(|m| m.d_f),
+        e_comm: mean(|m| m.e_comm),
+        e_ctrl: mean(|m| m.e_ctrl),
+        p_coll_max: mean(|m| m.p_coll_max),
+        t_out: mean(|m| m.t_out as f64),
+        below: share(|f| f.below),
+    }
+}
+
+fn show(row: &Row, json: bool) -> Result<()> {
+    if json {
+        println!("{}", serde_json::to_string(row)?);
+        return Ok(());
+    }
+    let cell = |m: &Mean| format!("{:.4} [{:.4}, {:.4}]", m.mean, m.ci[0], m.ci[1]);
+    println!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed);
+    println!("  reached {:.3}, at a wall {}, below the obstacle {:.3}", row.reached, row.at_wall, row.below);
+    for (name, mean) in [
+        ("d_f", &row.d_f),
+        ("E_comm", &row.e_comm),
+        ("E_ctrl", &row.e_ctrl),
+        ("p_coll", &row.p_coll_max),
+        ("T_out", &row.t_out),
+    ] {
+        println!("  {name:<8}{}", cell(mean));
+    }
+    Ok(())
+}

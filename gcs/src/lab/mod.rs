@@ -1,0 +1,96 @@
+//! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
+
+pub mod demo;
+pub mod episodes;
+pub mod figures;
+pub mod parquet;
+pub mod plot;
+pub mod report;
+pub mod run;
+pub mod stats;
+pub mod sweep;
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::{Scenario, Sim};
+
+use crate::station::Station;
+use crate::station::models::Models;
+use crate::station::pilot::{Controller, Pilot};
+
+/// How near to a wall a flight must end to count as ended there, units: the UAV's radius.
+const AT_WALL: f64 = 0.02;
+
+/// Flies `ticks` control intervals, pictures rendered and encoded at each.
+pub fn fly(sim: &mut Sim, station: &mut Station, ticks: u64) {
+    for _ in 0..ticks {
+        let command = station.handle(&sim.percept());
+        sim.handle(command);
+        sim.advance();
+    }
+    station.finish(&sim.percept());
+}
+
+/// A controller that is ready to fly a scenario again and again.
+#[derive(Debug, Clone)]
+pub struct Contender {
+    /// Who flies.
+    pub controller: Controller,
+    scenario: Scenario,
+    world: Arc<WorldModel>,
+    pilot: Pilot,
+}
+
+/// One flight's score, and where it went.
+#[derive(Debug, Clone, Copy)]
+pub struct Scored {
+    /// The paper's metrics.
+    pub metrics: Metrics,
+    /// Whether it ended within 0.02 of a wall.
+    pub at_wall: bool,
+    /// Whether it passed below the obstacle: at smaller y where it first reached the obstacle's x.
+    pub below: bool,
+}
+
+impl Contender {
+    /// Loads what `controller` needs, once.
+    pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
+        let pilot = models.pilot(controller, scenario)?;
+        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot })
+    }
+
+    /// A whole flight, interval by interval. Equal seeds give equal records.
+    #[must_use]
+    pub fn records(&self, seed: u64) -> Vec<Record> {
+        self.flown(seed).records().to_vec()
+    }
+
+    /// A whole flight's score.
+    pub fn fly(&self, seed: u64) -> Result<Scored> {
+        let station = self.flown(seed);
+        let metrics = station.metrics().context("no interval was flown")?;
+        let last = station.records().last().context("no interval was flown")?;
+        Ok(Scored {
+            metrics,
+            at_wall: last.r_next.iter().any(|x| x.min(1.0 - x) < AT_WALL),
+            below: below(station.records(), &self.scenario),
+        })
+    }
+
+    fn flown(&self, seed: u64) -> Station {
+        let mut station = Station::new(self.scenario.clone(), self.world.clone(), self.pilot.clone());
+        let mut sim = Sim::new(self.scenario.clone(), seed);
+        fly(&mut sim, &mut station, self.scenario.horizon);
+        station
+    }
+}
+
+/// Whether a flight passed below the obstacle's first position.
+#[must_use]
+pub fn below(records: &[Record], scenario: &Scenario) -> bool {
+    let obstacle = scenario.obstacle.position;
+    records.iter().map(|r| r.r_next).find(|r| r.x >= obstacle.x).is_some_and(|r| r.y < obstacle.y)
+}

@@ -1,0 +1,164 @@
+//! `gcs report`: the paper's figures as one page that needs nothing else, and as SVG, PNG, CSV and text.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`scenarios`] | Figs. 4 and 5: flights without gusts, told in sentences |
+//! | [`sweeps`] | Figs. 6 and 7: a sweep's folder as panels and tables |
+//! | [`page`] | HTML |
+
+pub mod page;
+pub mod scenarios;
+pub mod sweeps;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use plotters::style::RGBColor;
+
+use crate::lab::plot::COLOURS;
+use crate::lab::sweep;
+use crate::lab::sweep::folder::Folder;
+use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
+use crate::station::models::Models;
+use crate::station::pilot::Controller;
+use page::Page;
+use sweeps::Finished;
+
+/// The sweeps of `gcs report all`: file, text, and what there is to say first.
+const SWEEPS: [(&str, &str, &str); 3] = [
+    ("configs/sweep_bandwidth.toml", include_str!("../../../../configs/sweep_bandwidth.toml"), ""),
+    ("configs/sweep_sigma.toml", include_str!("../../../../configs/sweep_sigma.toml"), ""),
+    (
+        "configs/sweep_sigma_literal.toml",
+        include_str!("../../../../configs/sweep_sigma_literal.toml"),
+        LITERAL,
+    ),
+];
+
+/// Why the paper's largest σ_c cannot be meant literally.
+const LITERAL: &str = "Read literally, σ_c = 0.01 kicks the speed by 0.01 in each axis and interval. The largest acceleration is \
+     0.0035: what one kick does takes three intervals of full thrust to undo, and three more kicks come \
+     meanwhile. The speed wanders through its whole range of ±0.04 whatever is commanded, so no controller can \
+     stop at the goal or keep clear of the obstacle, not the oracle either, which knows the equations, and not \
+     a dynamic programme that knows the noise as well (calibration study: d_f 0.31). Terminal error, risk and \
+     outage become alike for all; only the power that is spent still tells the controllers apart.";
+
+/// Flags of `gcs report`.
+#[derive(Debug, clap::Args)]
+pub struct Report {
+    /// `scenarios`: the paper's Figs. 4 and 5. `all`: these and the sweeps, flown now. DIR: a sweep's folder.
+    #[arg(value_name = "scenarios|all|DIR")]
+    what: String,
+    /// Who flies [default: those in the sweeps' files, and all four of the paper].
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    controllers: Option<Vec<Controller>>,
+    /// Flights per point and controller in `all`, instead of the files' number.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: Option<u64>,
+    /// Folder of a world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Folder of the report [default: runs/report, or DIR/report].
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// A statement that measured numbers decide.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Claim {
+    /// Whether it came out as the paper says.
+    pub holds: bool,
+    /// What was measured, in a sentence.
+    pub text: String,
+}
+
+impl Claim {
+    /// In words.
+    #[must_use]
+    pub fn verdict(&self) -> &'static str {
+        if self.holds { "holds" } else { "does not hold" }
+    }
+}
+
+/// Colour of the nth controller.
+fn colour(n: usize) -> RGBColor {
+    COLOURS[n % COLOURS.len()]
+}
+
+/// Colour of the nth controller for a style sheet.
+fn rgb(n: usize) -> String {
+    let RGBColor(r, g, b) = colour(n);
+    format!("rgb({r},{g},{b})")
+}
+
+/// Runs `gcs report`.
+pub fn run(args: &Report) -> Result<()> {
+    let out = match (&args.out, args.what.as_str()) {
+        (Some(out), _) => out.clone(),
+        (None, "scenarios" | "all") => "runs/report".into(),
+        (None, dir) => Path::new(dir).join("report"),
+    };
+    let mut page = Page::new(match args.what.as_str() {
+        "scenarios" => "CRPL: Scenarios 1 and 2",
+        "all" => "CRPL against APC, RCC and UCC",
+        _ => "CRPL: a sweep",
+    });
+    // Read before the report's folder is made: a wrong name leaves nothing behind.
+    let finished = match args.what.as_str() {
+        "scenarios" | "all" => None,
+        dir => Some(open(Path::new(dir))?),
+    };
+    std::fs::create_dir_all(&out).with_context(|| format!("creating {}", out.display()))?;
+    if let Some(finished) = finished {
+        finished.show(&mut page, &out, "")?;
+        print!("{}", finished.text());
+    } else {
+        let models = Models::load(args.checkpoint.as_deref(), None)?;
+        scenarios(&mut page, &out, &models, args.controllers.as_deref())?;
+        if args.what == "all" {
+            all_sweeps(&mut page, &out, &models, args)?;
+        }
+    }
+    page.text(&format!(
+        "Made by gcs {} at revision {}.",
+        env!("CARGO_PKG_VERSION"),
+        crpl_sitl::program::revision()
+    ));
+    let path = out.join("index.html");
+    std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))?;
+    println!("{}, with figures and tables beside it", path.display());
+    Ok(())
+}
+
+fn open(dir: &Path) -> Result<Finished> {
+    let folder = Folder::open(dir)?;
+    let episodes = folder.finished()?;
+    let episodes =
+        episodes.with_context(|| format!("{} is not finished: run its `gcs sweep` again", dir.display()))?;
+    Ok(Finished::new(folder, &episodes))
+}
+
+fn scenarios(page: &mut Page, out: &Path, models: &Models, controllers: Option<&[Controller]>) -> Result<()> {
+    let paper = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
+    for flown in scenarios::fly(models, controllers.unwrap_or(&paper), scenarios::GUSTY)? {
+        flown.show(page, out)?;
+        println!("{}", flown.text());
+    }
+    Ok(())
+}
+
+fn all_sweeps(page: &mut Page, out: &Path, models: &Models, args: &Report) -> Result<()> {
+    let flags =
+        Overrides { episodes: args.episodes, controllers: args.controllers.clone(), ..Overrides::default() };
+    for (file, text, words) in SWEEPS {
+        let file = SweepFile::parse(text).with_context(|| format!("reading {file}"))?;
+        let plan = sweep::resolve(file, &flags, models)?;
+        let dir = out.join(&plan.name);
+        let folder = Folder::begin(&dir, plan, Shard::WHOLE)?;
+        let episodes = sweep::complete(&folder, models)?;
+        let finished = Finished::new(folder, &episodes);
+        finished.show(page, out, words)?;
+        println!("{}", finished.text());
+    }
+    Ok(())
+}

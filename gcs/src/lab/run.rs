@@ -1,0 +1,175 @@
+//! The folder that a flight leaves behind: records, tlog, plot, and beside them the resolved config,
+//! seed and revision; and the summary that is printed.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use crpl_sitl::Scenario;
+use crpl_sitl::radio::Fates;
+use crpl_sitl::sim::record::{Metrics, Record};
+use serde::Serialize;
+
+use crate::flight::{Ended, Flight};
+use crate::lab::figures;
+use crate::station::Station;
+use crate::station::pilot::Controller;
+
+/// One flight in figures.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// Who flew.
+    pub controller: Controller,
+    /// The scenario's name.
+    pub scenario: String,
+    /// Seed of the disturbance; `None` if the vehicle was not started by us.
+    pub seed: Option<u64>,
+    /// The paper's metrics.
+    #[serde(flatten)]
+    pub metrics: Metrics,
+    /// What became of the commands.
+    pub commands: Fates,
+    /// Intervals of which no percept arrived.
+    pub missed: u64,
+    /// From a complete percept to its command on the socket.
+    pub latency_ms: Latency,
+    /// Simulated over real time.
+    pub real_time_factor: f64,
+    /// Frames that the link has lost, by their sequence numbers.
+    pub frames_lost: u64,
+    /// Whether the flight ended because the operator took the vehicle over.
+    pub taken_over: bool,
+    /// Setpoints of others that were kept from the vehicle.
+    pub setpoints_held_back: u64,
+}
+
+/// Percentiles, ms.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Latency {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+impl Summary {
+    /// The summary of a flight over a link; `None` if no interval was flown.
+    #[must_use]
+    pub fn of(controller: Controller, seed: Option<u64>, station: &Station, flight: &Flight) -> Option<Self> {
+        let scenario = station.scenario();
+        let metrics = station.metrics()?;
+        let mut sorted = flight.latencies_us.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |q: f64| {
+            let rank = (q * sorted.len() as f64).ceil() as usize;
+            sorted.get(rank.saturating_sub(1)).map_or(f64::NAN, |us| us / 1e3)
+        };
+        let simulated = metrics.ticks as f64 * scenario.scale.interval_s;
+        Some(Self {
+            controller,
+            scenario: scenario.name.clone(),
+            seed,
+            metrics,
+            commands: station.fates(),
+            missed: station.missed(),
+            latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
+            real_time_factor: simulated / flight.wall.as_secs_f64(),
+            frames_lost: flight.lost,
+            taken_over: flight.ended == Ended::TakenOver,
+            setpoints_held_back: flight.held_back,
+        })
+    }
+}
+
+/// Where a result comes from.
+#[derive(Debug, Serialize)]
+struct Provenance<'a> {
+    controller: Controller,
+    seed: Option<u64>,
+    revision: String,
+    version: &'static str,
+    command: Vec<String>,
+    summary: &'a Summary,
+}
+
+/// Writes the resolved scenario, before the flight begins.
+pub fn begin(dir: &Path, scenario: &Scenario) -> Result<PathBuf> {
+    std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
+    let path = dir.join("config.toml");
+    std::fs::write(&path, toml::to_string(scenario)?)
+        .with_context(|| format!("writing {}", path.display()))?;
+    Ok(path)
+}
+
+/// Writes records, plot and provenance once the flight is over.
+pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenario) -> Result<()> {
+    write_records(&dir.join("record.jsonl"), records)?;
+    let title = format!("{}, {}, d_f {:.3}", summary.controller, scenario.name, summary.metrics.d_f);
+    figures::path(dir, &title, records, scenario)?;
+    let provenance = Provenance {
+        controller: summary.controller,
+        seed: summary.seed,
+        revision: crpl_sitl::program::revision(),
+        version: env!("CARGO_PKG_VERSION"),
+        command: std::env::args().collect(),
+        summary,
+    };
+    let path = dir.join("run.json");
+    let text = serde_json::to_string_pretty(&provenance)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+}
+
+/// One line per interval.
+pub fn write_records(path: &Path, records: &[Record]) -> Result<()> {
+    let context = || format!("writing {}", path.display());
+    let mut file = std::io::BufWriter::new(std::fs::File::create(path).with_context(context)?);
+    for record in records {
+        serde_json::to_writer(&mut file, record).with_context(context)?;
+        file.write_all(b"\n").with_context(context)?;
+    }
+    file.flush().with_context(context)
+}
+
+/// Flights side by side, for people.
+#[must_use]
+pub fn table(flights: &[Summary]) -> String {
+    type Cell = fn(&Summary) -> String;
+    let rows: [(&str, Cell); 16] = [
+        ("reached the goal", |f| if f.metrics.reached { "yes" } else { "no" }.into()),
+        ("d_f     terminal distance to the goal", |f| format!("{:.4}", f.metrics.d_f)),
+        ("E_comm  transmit energy", |f| format!("{:.0}", f.metrics.e_comm)),
+        ("E_ctrl  propulsion energy, J", |f| format!("{:.0}", f.metrics.e_ctrl)),
+        ("p_coll  largest collision probability", |f| format!("{:.4}", f.metrics.p_coll_max)),
+        ("T_out   intervals in outage", |f| format!("{} of {}", f.metrics.t_out, f.metrics.ticks)),
+        ("commands sent", |f| f.commands.sent.to_string()),
+        ("  delivered in their interval", |f| f.commands.delivered.to_string()),
+        ("  delayed", |f| f.commands.delayed.to_string()),
+        ("  superseded", |f| f.commands.superseded.to_string()),
+        ("  lost", |f| f.commands.lost.to_string()),
+        ("percepts missed", |f| f.missed.to_string()),
+        ("picture to command, median, ms", |f| format!("{:.3}", f.latency_ms.p50)),
+        ("picture to command, p99, ms", |f| format!("{:.3}", f.latency_ms.p99)),
+        ("times real time", |f| format!("{:.0}", f.real_time_factor)),
+        ("seed", |f| f.seed.map_or("-".into(), |s| s.to_string())),
+    ];
+    let mut text = format!("{:<40}", flights.first().map_or("", |f| f.scenario.as_str()));
+    for flight in flights {
+        text += &format!("{:>12}", flight.controller.to_string());
+    }
+    for (name, cell) in rows {
+        text += &format!("\n{name:<40}");
+        for flight in flights {
+            text += &format!("{:>12}", cell(flight));
+        }
+    }
+    text.push('\n');
+    for flight in flights.iter().filter(|flight| flight.taken_over) {
+        let ticks = flight.metrics.ticks;
+        text += &format!("{}: the operator took over after {ticks} intervals\n", flight.controller);
+    }
+    for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {
+        let count = flight.setpoints_held_back;
+        text += &format!("{}: {count} setpoints of others kept from the vehicle\n", flight.controller);
+    }
+    text
+}

@@ -1,0 +1,182 @@
+//! The folder of a sweep: `sweep.toml` says what it is, `episodes.part.csv` holds what is flown so far;
+//! at the end `episodes.csv`, `episodes.parquet` and `points.csv` hold the result.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
+
+use super::episode::Episode;
+use super::journal::{self, Journal};
+use super::plan::{Plan, Shard};
+use super::table;
+use crate::lab::parquet;
+
+/// What `sweep.toml` says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Sheet {
+    hash: String,
+    shard: String,
+    plan: Plan,
+}
+
+/// A sweep's folder that belongs to a plan and a share of it.
+#[derive(Debug, Clone)]
+pub struct Folder {
+    dir: PathBuf,
+    /// What is flown.
+    pub plan: Plan,
+    /// Which share of it.
+    pub shard: Shard,
+}
+
+/// How far a folder is.
+#[derive(Debug)]
+pub enum Progress {
+    /// All episodes, in order.
+    Finished(Vec<Episode>),
+    /// These so far.
+    Begun(Journal, Vec<Episode>),
+}
+
+impl Folder {
+    /// Begins a folder, or goes on with one of the same plan and share.
+    pub fn begin(dir: &Path, plan: Plan, shard: Shard) -> Result<Self> {
+        let folder = Self { dir: dir.into(), plan, shard };
+        if folder.path("sweep.toml").exists() {
+            let there = Self::open(dir)?;
+            if let Some(difference) = folder.plan.difference(&there.plan)? {
+                bail!(
+                    "{} holds another sweep: {difference} there; choose another --out or remove it",
+                    dir.display()
+                );
+            }
+            if there.shard != shard {
+                bail!("{} holds share {}, not {shard}", dir.display(), there.shard);
+            }
+            return Ok(folder);
+        }
+        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
+        folder.write_sheet()?;
+        Ok(folder)
+    }
+
+    /// Opens a folder as it is.
+    pub fn open(dir: &Path) -> Result<Self> {
+        let path = dir.join("sweep.toml");
+        let name = path.display();
+        let text = std::fs::read_to_string(&path)
+            .with_context(|| format!("{} is not a sweep's folder: reading {name}", dir.display()))?;
+        let sheet: Sheet = toml::from_str(&text).with_context(|| format!("reading {name}"))?;
+        if sheet.hash != sheet.plan.hash()? {
+            bail!("{name}: was changed after it was written: its hash is not {}", sheet.hash);
+        }
+        let shard = sheet.shard.parse().map_err(|e| anyhow::anyhow!("{name}: shard {e}"))?;
+        Ok(Self { dir: dir.into(), plan: sheet.plan, shard })
+    }
+
+    /// Where it lies.
+    #[must_use]
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// What is there already.
+    pub fn progress(&self) -> Result<Progress> {
+        if let Some(episodes) = self.finished()? {
+            return Ok(Progress::Finished(episodes));
+        }
+        let (journal, episodes) = Journal::open(&self.part())?;
+        self.check_belong(&episodes, &self.part())?;
+        Ok(Progress::Begun(journal, episodes))
+    }
+
+    /// All episodes, if the sweep is finished.
+    pub fn finished(&self) -> Result<Option<Vec<Episode>>> {
+        let path = self.path("episodes.csv");
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error).with_context(|| format!("reading {}", path.display())),
+        };
+        let episodes = journal::read(&text, &path)?;
+        self.check_belong(&episodes, &path)?;
+        let episodes = self.in_order(episodes);
+        episodes.map(Some).with_context(|| format!("{} is not complete", path.display()))
+    }
+
+    /// Writes the results; `episodes.csv` comes last, and says that all is there.
+    pub fn finish(&self, episodes: Vec<Episode>) -> Result<Vec<Episode>> {
+        let episodes = self.in_order(episodes)?;
+        self.write("points.csv", table::csv(&table::rows(&self.plan, &episodes)).as_bytes())?;
+        let names: Vec<String> = episodes.iter().map(|e| e.controller.to_string()).collect();
+        let mut bytes = Vec::new();
+        let sheet = self.sheet()?;
+        parquet::write(&mut bytes, &Episode::columns(&episodes, &names), &[("sweep.toml", &sheet)])?;
+        self.write("episodes.parquet", &bytes)?;
+        let lines = std::iter::once(Episode::HEAD.to_owned()).chain(episodes.iter().map(Episode::line));
+        self.write("episodes.csv", (lines.collect::<Vec<_>>().join("\n") + "\n").as_bytes())?;
+        Ok(episodes)
+    }
+
+    /// Value of the axis, controller and seed of every episode: points in their order, controllers
+    /// in theirs, seeds ascending.
+    fn units(&self) -> impl Iterator<Item = (f64, crate::station::pilot::Controller, u64)> {
+        let plan = &self.plan;
+        plan.points.iter().flat_map(move |x| {
+            plan.controllers.iter().flat_map(move |c| self.shard.seeds(plan).map(move |seed| (*x, *c, seed)))
+        })
+    }
+
+    fn check_belong(&self, episodes: &[Episode], path: &Path) -> Result<()> {
+        let plan = &self.plan;
+        let belongs = |e: &Episode| {
+            plan.points.contains(&e.x)
+                && plan.controllers.contains(&e.controller)
+                && plan.seeds().contains(&e.seed)
+                && (e.seed - plan.first_seed) % self.shard.of == self.shard.number - 1
+        };
+        match episodes.iter().position(|e| !belongs(e)) {
+            Some(n) => bail!("{}: line {} is not of this sweep", path.display(), n + 2),
+            None => Ok(()),
+        }
+    }
+
+    fn in_order(&self, episodes: Vec<Episode>) -> Result<Vec<Episode>> {
+        let key = |x: f64, controller, seed| (x.to_bits(), controller, seed);
+        let mut found: BTreeMap<_, Episode> =
+            episodes.into_iter().map(|e| (key(e.x, e.controller, e.seed), e)).collect();
+        let mut next = |(x, controller, seed)| {
+            found
+                .remove(&key(x, controller, seed))
+                .with_context(|| format!("{} = {x}, {controller}, seed {seed} is missing", self.plan.axis))
+        };
+        self.units().map(&mut next).collect()
+    }
+
+    fn sheet(&self) -> Result<String> {
+        let sheet = Sheet { hash: self.plan.hash()?, shard: self.shard.to_string(), plan: self.plan.clone() };
+        Ok(toml::to_string(&sheet)?)
+    }
+
+    fn write_sheet(&self) -> Result<()> {
+        self.write("sweep.toml", self.sheet()?.as_bytes())
+    }
+
+    /// Writes a whole file or none: a reader never sees half of one.
+    fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let (path, new) = (self.path(name), self.path(&format!(".{name}.new")));
+        std::fs::write(&new, bytes).with_context(|| format!("writing {}", new.display()))?;
+        std::fs::rename(&new, &path).with_context(|| format!("writing {}", path.display()))
+    }
+
+    fn part(&self) -> PathBuf {
+        self.path("episodes.part.csv")
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.join(name)
+    }
+}

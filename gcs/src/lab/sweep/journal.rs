@@ -1,0 +1,148 @@
+//! The finished episodes of a sweep that is still running: a table that only grows, a line at a time.
+//!
+//! Whatever ends the process, the lines stay; a last line that was cut is dropped and flown again.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+
+use super::episode::Episode;
+
+/// How often the lock is tried, every 50 ms.
+const PATIENCE: u32 = 20;
+
+/// An open journal. Only one process may hold it.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: Mutex<File>,
+}
+
+impl Journal {
+    /// Opens or begins a journal, and gives the episodes that stand in it.
+    pub fn open(path: &Path) -> Result<(Self, Vec<Episode>)> {
+        let name = path.display();
+        let mut file = OpenOptions::new()
+            .read(true)
+            .append(true)
+            .create(true)
+            .open(path)
+            .with_context(|| format!("opening {name}"))?;
+        lock(&file, path)?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).with_context(|| format!("reading {name}"))?;
+        let whole = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |last| last + 1);
+        file.set_len(whole as u64).with_context(|| format!("cutting the torn end off {name}"))?;
+        file.seek(SeekFrom::End(0)).with_context(|| format!("reading {name}"))?;
+        let text = std::str::from_utf8(&bytes[..whole]).with_context(|| format!("reading {name}"))?;
+        let episodes = if text.is_empty() {
+            file.write_all(format!("{}\n", Episode::HEAD).as_bytes())
+                .with_context(|| format!("writing {name}"))?;
+            Vec::new()
+        } else {
+            read(text, path)?
+        };
+        Ok((Self { path: path.into(), file: Mutex::new(file) }, episodes))
+    }
+
+    /// Writes an episode down, in one write.
+    pub fn add(&self, episode: &Episode) -> Result<()> {
+        let line = episode.line() + "\n";
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        file.write_all(line.as_bytes()).with_context(|| format!("writing {}", self.path.display()))
+    }
+
+    /// Removes the journal, once its episodes stand elsewhere.
+    pub fn remove(self) -> Result<()> {
+        std::fs::remove_file(&self.path).with_context(|| format!("removing {}", self.path.display()))
+    }
+}
+
+/// Keeps other processes out. One that was killed just now may hold the lock for a moment longer.
+fn lock(file: &File, path: &Path) -> Result<()> {
+    for _ in 0..PATIENCE {
+        match file.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(50)),
+            Err(TryLockError::Error(error)) => {
+                return Err(error).with_context(|| format!("locking {}", path.display()));
+            }
+        }
+    }
+    bail!("{}: another process is writing it", path.display())
+}
+
+/// The episodes of a table. Errors name the file and the line.
+pub fn read(text: &str, path: &Path) -> Result<Vec<Episode>> {
+    let mut lines = text.lines();
+    if lines.next() != Some(Episode::HEAD) {
+        bail!("{}: line 1 is not the head of a table of episodes", path.display());
+    }
+    lines
+        .enumerate()
+        .map(|(n, line)| line.parse().with_context(|| format!("{}: line {}", path.display(), n + 2)))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lab::sweep::episode::Outcome;
+    use crate::station::pilot::Controller;
+
+    fn episode(seed: u64) -> Episode {
+        let scored = Outcome {
+            d_f: 0.1 / (seed + 1) as f64,
+            e_comm: 100.0,
+            e_ctrl: 9000.0,
+            p_coll_max: 0.03,
+            t_out: seed,
+            reached: true,
+            below: true,
+            at_wall: false,
+        };
+        Episode { x: 2.5, controller: Controller::Rcc, seed, scored }
+    }
+
+    #[test]
+    fn a_journal_goes_on_where_it_was_cut_at_any_byte() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("journal.csv");
+        let (journal, none) = Journal::open(&path).unwrap();
+        assert!(none.is_empty());
+        (0..3).for_each(|seed| journal.add(&episode(seed)).unwrap());
+        drop(journal);
+        let whole = std::fs::read(&path).unwrap();
+        for cut in 0..=whole.len() {
+            std::fs::write(&path, &whole[..cut]).unwrap();
+            let (journal, kept) = Journal::open(&path).unwrap();
+            (kept.len() as u64..3).for_each(|seed| journal.add(&episode(seed)).unwrap());
+            drop(journal);
+            assert_eq!(std::fs::read(&path).unwrap(), whole, "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn two_processes_cannot_write_one_journal() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("journal.csv");
+        let _held = Journal::open(&path).unwrap();
+        let error = Journal::open(&path).unwrap_err().to_string();
+        assert!(error.ends_with("another process is writing it"), "{error}");
+    }
+
+    #[test]
+    fn a_line_that_is_none_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("journal.csv");
+        std::fs::write(&path, format!("{}\n{}\nnonsense\n", Episode::HEAD, episode(0).line())).unwrap();
+        let error = crpl_sitl::program::cli::one_line(&Journal::open(&path).unwrap_err());
+        assert!(error.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{error}");
+        std::fs::write(&path, "a,b\n").unwrap();
+        assert!(Journal::open(&path).unwrap_err().to_string().contains("line 1"));
+    }
+}

@@ -1,0 +1,228 @@
+//! Sweeps: the paper's Figs. 6 and 7, and any other key of a scenario against the five metrics.
+//!
+//! ```text
+//! configs/sweep_*.toml --> Plan --> (point, controller, seed) --> Episode --> journal --> Folder --> table
+//! ```
+//!
+//! | module | what it is | what it does not know |
+//! |---|---|---|
+//! | [`plan`] | what is flown, resolved, with a hash; shares of it | flying |
+//! | [`episode`] | one flight as a line of a table | other flights |
+//! | [`journal`] | finished episodes, safe against any end of the process | what they mean |
+//! | [`folder`] | files of a sweep, begun or finished | flying |
+//! | [`table`] | means, intervals, ratios | files |
+//! | [`merge`] | shares to one sweep | flying |
+//!
+//! A unit of work is a point, a controller and a seed; its result depends on the plan and on these alone, so
+//! neither threads, nor shares, nor interruptions change a byte.
+
+pub mod episode;
+pub mod folder;
+pub mod journal;
+pub mod merge;
+pub mod plan;
+pub mod table;
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result, bail};
+use crpl_model::world_model::checkpoint;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rayon::prelude::*;
+
+use crate::lab::Contender;
+use crate::station::models::Models;
+use crate::station::pilot::Controller;
+use episode::Episode;
+use folder::{Folder, Progress};
+use journal::Journal;
+use plan::{Overrides, Plan, Shard, SweepFile};
+use table::Row;
+
+/// Flags of `gcs sweep`.
+#[derive(Debug, clap::Args)]
+pub struct Sweep {
+    /// The sweep (TOML): name, axis, points, controllers, episodes, first_seed, [scenario].
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Other points than the file's.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    points: Option<Vec<f64>>,
+    /// Flights per point and controller, instead of the file's number.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: Option<u64>,
+    /// The first seed, instead of the file's.
+    #[arg(long, value_name = "S")]
+    first_seed: Option<u64>,
+    /// Who flies, instead of those in the file.
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    controllers: Option<Vec<Controller>>,
+    /// Fly share I of N of the seeds only; `gcs merge` joins the shares.
+    #[arg(long, value_name = "I/N", default_value = "1/1")]
+    shard: Shard,
+    /// Threads [default: one per core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Folder of a world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// File with CRPL's policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+    /// Folder of the result; a sweep that was stopped goes on there [default: runs/NAME].
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON line per point and controller.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `gcs sweep`.
+pub fn run(args: &Sweep) -> Result<()> {
+    if let Some(threads) = args.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
+        pool.build_global().context("starting the threads")?;
+    }
+    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
+    let flags = Overrides {
+        points: args.points.clone(),
+        episodes: args.episodes,
+        first_seed: args.first_seed,
+        controllers: args.controllers.clone(),
+    };
+    let plan = resolve(SweepFile::load(&args.config)?, &flags, &models)?;
+    let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
+    let folder = Folder::begin(&dir, plan, args.shard)?;
+    let episodes = complete(&folder, &models)?;
+    show(&folder, &episodes, args.json)
+}
+
+/// The plan of a file, with the trained things that will fly it.
+pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<Plan> {
+    let policy = match &models.policy {
+        Some(path) => {
+            let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
+            plan::fingerprint(&bytes)
+        }
+        None => "shipped".into(),
+    };
+    file.resolve(flags, checkpoint::fingerprint(&models.world)?, policy)
+}
+
+fn default_folder(name: &str, shard: Shard) -> PathBuf {
+    let folder = Path::new("runs").join(name);
+    if shard == Shard::WHOLE { folder } else { folder.join(format!("{}-of-{}", shard.number, shard.of)) }
+}
+
+/// Flies what is missing, writes the results, and gives all episodes in order.
+pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<Episode>> {
+    let (journal, mut episodes) = match folder.progress()? {
+        Progress::Finished(episodes) => return Ok(episodes),
+        Progress::Begun(journal, episodes) => (journal, episodes),
+    };
+    let stop = stop_at_ctrl_c()?;
+    let flown = fly(folder, models, &episodes, &journal, &stop)?;
+    episodes.extend(flown);
+    let episodes = folder.finish(episodes)?;
+    journal.remove()?;
+    Ok(episodes)
+}
+
+/// Flies every unit that is not in `done`, on all threads, and writes each down as it ends.
+fn fly(
+    folder: &Folder,
+    models: &Models,
+    done: &[Episode],
+    journal: &Journal,
+    stop: &AtomicBool,
+) -> Result<Vec<Episode>> {
+    let plan = &folder.plan;
+    let mut contenders = Vec::new();
+    for x in &plan.points {
+        let scenario = plan.scenario_at(*x)?;
+        for controller in &plan.controllers {
+            contenders.push((*x, Contender::new(models, *controller, &scenario)?));
+        }
+    }
+    // Seeds outside: slow and quick controllers alternate, so the time left can be told from the first.
+    let mut units: Vec<(&(f64, Contender), u64)> = folder
+        .shard
+        .seeds(plan)
+        .flat_map(|seed| contenders.iter().map(move |contender| (contender, seed)))
+        .collect();
+    let total = units.len();
+    let is_done: std::collections::HashSet<_> =
+        done.iter().map(|e| (e.x.to_bits(), e.controller, e.seed)).collect();
+    units.retain(|((x, contender), seed)| !is_done.contains(&(x.to_bits(), contender.controller, *seed)));
+
+    let bar = progress_bar(total as u64, &plan.name);
+    bar.inc((total - units.len()) as u64);
+    bar.reset_eta();
+    let flown: Result<Vec<Option<Episode>>> = units
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|((x, contender), seed)| {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let episode = Episode::fly(contender, *x, seed)?;
+            journal.add(&episode)?;
+            bar.inc(1);
+            Ok(Some(episode))
+        })
+        .collect();
+    bar.finish_and_clear();
+    let flown: Vec<Episode> = flown?.into_iter().flatten().collect();
+    let all = done.len() + flown.len();
+    if all < total {
+        bail!(
+            "stopped: {all} of {total} episodes are kept in {}; the same command goes on with the rest",
+            folder.dir().display()
+        );
+    }
+    Ok(flown)
+}
+
+fn progress_bar(length: u64, name: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    let template =
+        format!("{name} {{bar:30}} {{pos}}/{{len}} flights, {{per_sec}}, {{elapsed}}, {{eta}} left");
+    if let Ok(style) = ProgressStyle::with_template(&template) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// Becomes true at the first Ctrl-C: flights in the air are finished, no new one starts.
+fn stop_at_ctrl_c() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_io().build().context("listening for Ctrl-C")?;
+    std::thread::spawn(move || {
+        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
+            flag.store(true, Ordering::Relaxed);
+        }
+    });
+    Ok(stop)
+}
+
+/// Prints the rows, for people or programs.
+pub fn show(folder: &Folder, episodes: &[Episode], json: bool) -> Result<()> {
+    let rows: Vec<Row> = table::rows(&folder.plan, episodes);
+    if json {
+        for row in &rows {
+            println!("{}", serde_json::to_string(row)?);
+        }
+    } else {
+        print!("{}", table::text(&folder.plan, &rows));
+        println!("\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}", folder.dir().display());
+    }
+    Ok(())
+}

@@ -1,0 +1,314 @@
+//! What a sweep is: which key takes which values, who flies, on which seeds, in which scenario; and
+//! the share of it that one process takes.
+//!
+//! A plan is resolved before the first flight and decides every number of the result. Its hash names it.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::{Context, Result, bail};
+use crpl_sitl::Scenario;
+use serde::{Deserialize, Serialize};
+
+use crate::station::pilot::Controller;
+
+/// A sweep as it stands in a file: only what it needs.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SweepFile {
+    /// Name of the sweep, and of its folder.
+    name: String,
+    /// Dotted key of the scenario that the points set.
+    axis: String,
+    /// Values of that key.
+    points: Vec<f64>,
+    /// Who flies.
+    controllers: Vec<Controller>,
+    /// Flights per point and controller.
+    #[serde(default = "default_episodes")]
+    episodes: u64,
+    /// The first of so many consecutive seeds.
+    #[serde(default = "default_first_seed")]
+    first_seed: u64,
+    /// What differs from the paper's scenario at every point.
+    #[serde(default)]
+    scenario: toml::Table,
+}
+
+/// Flights per point and controller where neither file nor flag says.
+fn default_episodes() -> u64 {
+    200
+}
+
+/// Nothing was chosen, tuned or trained by a look at flights with seeds from here on.
+fn default_first_seed() -> u64 {
+    100_000
+}
+
+/// What flags put in place of a file's values.
+#[derive(Debug, Clone, Default)]
+pub struct Overrides {
+    /// Other points.
+    pub points: Option<Vec<f64>>,
+    /// Another number of flights.
+    pub episodes: Option<u64>,
+    /// Another first seed.
+    pub first_seed: Option<u64>,
+    /// Others fly.
+    pub controllers: Option<Vec<Controller>>,
+}
+
+/// A resolved sweep: equal plans give equal bytes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Name of the sweep.
+    pub name: String,
+    /// Dotted key of the scenario that the points set.
+    pub axis: String,
+    /// Values of that key.
+    pub points: Vec<f64>,
+    /// Who flies.
+    pub controllers: Vec<Controller>,
+    /// Flights per point and controller.
+    pub episodes: u64,
+    /// The first of so many consecutive seeds.
+    pub first_seed: u64,
+    /// Fingerprint of the world model that encodes the pictures.
+    pub world_model: String,
+    /// `shipped`, or the fingerprint of the file given by --policy.
+    pub policy: String,
+    /// Source that flew.
+    pub revision: String,
+    /// The whole scenario; `axis` takes the points' values.
+    pub scenario: Scenario,
+}
+
+impl SweepFile {
+    /// Reads a file. Errors name it.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("reading {}", path.display()))
+    }
+
+    /// Parses the text of a file.
+    pub fn parse(text: &str) -> Result<Self> {
+        Ok(toml::from_str(text)?)
+    }
+
+    /// Puts in what the flags say, and checks that every point is a scenario.
+    pub fn resolve(self, flags: &Overrides, world_model: String, policy: String) -> Result<Plan> {
+        let scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
+        let plan = Plan {
+            name: self.name,
+            axis: self.axis,
+            points: flags.points.clone().unwrap_or(self.points),
+            controllers: flags.controllers.clone().unwrap_or(self.controllers),
+            episodes: flags.episodes.unwrap_or(self.episodes),
+            first_seed: flags.first_seed.unwrap_or(self.first_seed),
+            world_model,
+            policy,
+            revision: crpl_sitl::program::revision(),
+            scenario,
+        };
+        plan.check()?;
+        Ok(plan)
+    }
+}
+
+impl Plan {
+    fn check(&self) -> Result<()> {
+        let in_a_name = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+        if self.name.is_empty() || !self.name.chars().all(in_a_name) {
+            bail!("name = {:?}: must be letters, digits, - and _: a folder is named after it", self.name);
+        }
+        if self.points.is_empty() || self.controllers.is_empty() || self.episodes == 0 {
+            bail!("a sweep needs a point, a controller and an episode, at least one each");
+        }
+        if let Some(twice) = repeated(&self.points) {
+            bail!("points: {twice} stands there twice");
+        }
+        if let Some(twice) = repeated(&self.controllers) {
+            bail!("controllers: {twice} stands there twice");
+        }
+        let last = self.first_seed.checked_add(self.episodes);
+        if last.is_none_or(|last| i64::try_from(last).is_err()) {
+            bail!("first_seed = {}: {} seeds from there on leave 63 bits", self.first_seed, self.episodes);
+        }
+        self.points.iter().try_for_each(|x| self.scenario_at(*x).map(drop))
+    }
+
+    /// The scenario in which `axis` has the value `x`.
+    pub fn scenario_at(&self, x: f64) -> Result<Scenario> {
+        let axis = &self.axis;
+        let mut root = toml::Table::try_from(&self.scenario)?;
+        let (tables, key) = axis.rsplit_once('.').map_or((None, axis.as_str()), |(t, key)| (Some(t), key));
+        let mut table = &mut root;
+        for name in tables.into_iter().flat_map(|t| t.split('.')) {
+            let inner = table.get_mut(name).and_then(toml::Value::as_table_mut);
+            table = inner.with_context(|| format!("axis = {axis:?}: a scenario has no such key"))?;
+        }
+        match table.get_mut(key) {
+            Some(toml::Value::Float(value)) => *value = x,
+            Some(toml::Value::Integer(value)) if x.fract() == 0.0 => *value = x as i64,
+            Some(toml::Value::Integer(_)) => bail!("{axis} = {x}: must be a whole number"),
+            Some(_) => bail!("axis = {axis:?}: must be a number of the scenario"),
+            None => bail!("axis = {axis:?}: a scenario has no such key"),
+        }
+        Scenario::from_toml(&toml::to_string(&root)?)
+    }
+
+    /// The seeds of all episodes.
+    #[must_use]
+    pub fn seeds(&self) -> std::ops::Range<u64> {
+        self.first_seed..self.first_seed + self.episodes
+    }
+
+    /// Names the plan: FNV-1a of all that decides the result.
+    pub fn hash(&self) -> Result<String> {
+        Ok(fingerprint(toml::to_string(self)?.as_bytes()))
+    }
+
+    /// The first key in which two plans differ, with both values.
+    pub fn difference(&self, other: &Self) -> Result<Option<String>> {
+        let (ours, theirs) = (toml::Table::try_from(self)?, toml::Table::try_from(other)?);
+        Ok(difference("", &ours, &theirs))
+    }
+}
+
+fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<String> {
+    let keys = ours.keys().chain(theirs.keys().filter(|key| !ours.contains_key(*key)));
+    keys.into_iter().find_map(|key| {
+        let name = format!("{prefix}{key}");
+        match (ours.get(key), theirs.get(key)) {
+            (Some(toml::Value::Table(a)), Some(toml::Value::Table(b))) => {
+                difference(&format!("{name}."), a, b)
+            }
+            (a, b) if a == b => None,
+            (a, b) => {
+                let show = |v: Option<&toml::Value>| v.map_or("nothing".into(), ToString::to_string);
+                Some(format!("{name} = {} and {}", show(a), show(b)))
+            }
+        }
+    })
+}
+
+fn repeated<T: PartialEq + Copy>(items: &[T]) -> Option<T> {
+    items.iter().enumerate().find(|(n, item)| items[..*n].contains(item)).map(|(_, item)| *item)
+}
+
+/// FNV-1a, 64 bit, in hexadecimal: names bytes, guards against nobody.
+#[must_use]
+pub fn fingerprint(bytes: &[u8]) -> String {
+    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    format!("{hash:016x}")
+}
+
+/// Share I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every share has all
+/// points and controllers, so shares take equally long and its ratios stay paired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// I, from 1.
+    pub number: u64,
+    /// N.
+    pub of: u64,
+}
+
+impl Shard {
+    /// All of it.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+
+    /// The seeds of `plan` in this share.
+    pub fn seeds(self, plan: &Plan) -> impl Iterator<Item = u64> {
+        let first = plan.first_seed;
+        plan.seeds().filter(move |seed| (seed - first) % self.of == self.number - 1)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((number, of)) if (1..=of).contains(&number) => Ok(Self { number, of }),
+            _ => Err("must be I/N with I from 1 to N, such as 1/3".into()),
+        }
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.number, self.of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str =
+        "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
+
+    fn plan(text: &str) -> Result<Plan> {
+        SweepFile::parse(text)?.resolve(&Overrides::default(), "w".into(), "shipped".into())
+    }
+
+    fn error(text: &str) -> String {
+        crpl_sitl::program::cli::one_line(&plan(text).unwrap_err())
+    }
+
+    #[test]
+    fn a_point_sets_its_key_and_nothing_else() {
+        let plan = plan(&format!("{FILE}[scenario.disturbance]\nsigma_c = 0.005\n")).unwrap();
+        let mut want = plan.scenario.clone();
+        want.radio.b_dt = 2.5;
+        assert_eq!(plan.scenario_at(2.5).unwrap(), want);
+        assert_eq!(want.disturbance.sigma_c, 0.005);
+    }
+
+    #[test]
+    fn nonsense_is_named() {
+        let with = |from: &str, to: &str| FILE.replace(from, to);
+        for (text, part) in [
+            (with("radio.b_dt", "radio.bandwith"), "axis = \"radio.bandwith\": a scenario has no such key"),
+            (with("radio.b_dt", "name"), "must be a number"),
+            (with("2.5", "-1.0"), "radio.b_dt = -1"),
+            (with("2.5", "4.0"), "points: 4 stands there twice"),
+            (with("[2.5, 4.0]", "[]"), "at least one each"),
+            (with("small", "../x"), "name = \"../x\""),
+            (with("axis", "axes"), "axes"),
+            (format!("{FILE}[scenario.radio]\nb_dd = 3.0\n"), "b_dd"),
+        ] {
+            let line = error(&text);
+            assert!(line.contains(part) && !line.contains('\n'), "{line}");
+        }
+    }
+
+    #[test]
+    fn shares_part_the_seeds() {
+        let mut plan = plan(FILE).unwrap();
+        (plan.first_seed, plan.episodes) = (10, 8);
+        let share = |text: &str| text.parse::<Shard>().unwrap().seeds(&plan).collect::<Vec<_>>();
+        assert_eq!(
+            [share("1/3"), share("2/3"), share("3/3")],
+            [vec![10, 13, 16], vec![11, 14, 17], vec![12, 15]]
+        );
+        for text in ["0/3", "4/3", "1", "a/b", "1/0", "/"] {
+            assert!(text.parse::<Shard>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn plans_that_differ_say_where() {
+        let one = plan(FILE).unwrap();
+        let mut other = one.clone();
+        assert_eq!(one.difference(&other).unwrap(), None);
+        other.scenario.radio.b_dt = 3.0;
+        assert_eq!(one.difference(&other).unwrap().unwrap(), "scenario.radio.b_dt = 4.0 and 3.0");
+        assert_ne!(one.hash().unwrap(), other.hash().unwrap());
+    }
+}

@@ -1,0 +1,104 @@
+//! The trained models that a station flies with: the world model and CRPL's policies.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use crpl_model::planning::algorithm1::{OptimiseConfig, Receding, RecedingConfig, Stage};
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::{HeadsAt, WorldModel, checkpoint};
+use crpl_sitl::Scenario;
+
+use crate::station::Station;
+use crate::station::pilot::crpl_exact_latents::Memory;
+use crate::station::pilot::crpl_rh::{self, CrplRh};
+use crate::station::pilot::{Controller, Pilot, rcc, ucc};
+
+/// The trained things that a station needs.
+#[derive(Debug, Clone)]
+pub struct Models {
+    /// The world model, which encodes every picture.
+    pub world: Arc<WorldModel>,
+    /// A policy file instead of the shipped ones.
+    pub policy: Option<PathBuf>,
+}
+
+impl Models {
+    /// The shipped world model and policies, or those in `checkpoint` and `policy`.
+    pub fn load(checkpoint: Option<&Path>, policy: Option<PathBuf>) -> Result<Self> {
+        let world = match checkpoint {
+            Some(dir) => WorldModel::load(dir)?,
+            None => WorldModel::embedded()?,
+        };
+        Ok(Self { world: Arc::new(world), policy })
+    }
+
+    /// A pilot for this scenario.
+    pub fn pilot(&self, controller: Controller, scenario: &Scenario) -> Result<Pilot> {
+        Ok(match controller {
+            Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
+            Controller::CrplBw => {
+                Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(self.heads(scenario)))
+            }
+            Controller::CrplRh => {
+                Pilot::CrplRh(Box::new(self.receding(scenario)?), Arc::new(self.heads(scenario)))
+            }
+            Controller::CrplExactLatents => {
+                Pilot::CrplExactLatents(Arc::new(self.policies(scenario)?), Memory::default())
+            }
+            Controller::Apc => Pilot::Apc,
+            Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
+            Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),
+        })
+    }
+
+    /// The policies with what re-optimises them.
+    fn receding(&self, scenario: &Scenario) -> Result<CrplRh> {
+        let policies = self.policies(scenario)?;
+        let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
+        let stage = Stage::of(&self.world, scenario, &config, 0)?;
+        let mut budget = RecedingConfig::default();
+        budget.lookahead.snr_min = crpl_rh::connected(scenario);
+        let receding = Receding::new(stage, config.objective, budget, policies.motion.clone());
+        Ok(CrplRh::new(receding, policies))
+    }
+
+    /// The heads, told where this scenario's base station stands.
+    fn heads(&self, scenario: &Scenario) -> HeadsAt {
+        self.world.heads_at(scenario.channel.base_station)
+    }
+
+    /// The policies, which must have been optimised in this world model's latents.
+    fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+        let policies = self.read_policies(scenario)?;
+        let here = checkpoint::fingerprint(&self.world)?;
+        if policies.world != here {
+            let name = self.policy.as_ref().map_or("the shipped policy".into(), |p| p.display().to_string());
+            bail!(
+                "{name} was optimised in world model {}, and this is {here}: run `model optimise` on it",
+                if policies.world.is_empty() { "(unnamed)" } else { &policies.world }
+            );
+        }
+        Ok(policies)
+    }
+
+    fn read_policies(&self, scenario: &Scenario) -> Result<Policies> {
+        if let Some(path) = &self.policy {
+            return Ok(Policies::load(path)?);
+        }
+        let number = scenario.number().with_context(|| {
+            let o = scenario.obstacle.position;
+            format!(
+                "no shipped policy knows an obstacle at ({}, {}): train one with `model optimise \
+                 --scenario-file` and give it by --policy",
+                o.x, o.y
+            )
+        })?;
+        Ok(Policies::shipped(number)?)
+    }
+
+    /// A station that flies `controller`.
+    pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
+        Ok(Station::new(scenario.clone(), self.world.clone(), self.pilot(controller, scenario)?))
+    }
+}

@@ -1,0 +1,75 @@
+//! CRPL that knows the bandwidth: π_s as it ships, and power for the rate that the packet needs.
+//!
+//! π_p is trained at γ_min and sees no bandwidth. Here γ_min rises to the SNR at which an interval
+//! just carries the packet, γ_out = 2^(L/(B Δt)) - 1, and stage 2 is solved anew, exactly: power
+//! moves nothing, so its objective λ_p Σ E(a_p²) - w ln(P_comm - 1 + δ2) falls apart into one choice an
+//! interval, and with a sharp outage (α → ∞) that choice is a threshold in the predicted gain. No
+//! training run, for any bandwidth, packet and noise power.
+
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::{HeadsAt, WorldModel};
+use crpl_sitl::Scenario;
+use crpl_sitl::units::{Motion, TxPower};
+use crpl_sitl::world::channel::outage_snr;
+
+use super::crpl;
+use crate::station::belief::Latents;
+
+/// Factor on the SNR that is needed: what the channel head may be wrong by (our choice).
+pub const HEADROOM: f64 = 1.08;
+
+/// The motion of π_s; the smallest power that carries the packet. Sees latents alone; the scenario
+/// lends the radio's own constants.
+#[must_use]
+pub fn decide(
+    policies: &Policies,
+    heads: &HeadsAt,
+    world: &WorldModel,
+    now: Latents,
+    scenario: &Scenario,
+) -> (Motion, TxPower) {
+    let (motion, _) = crpl::decide(policies, world, now, scenario);
+    (motion, power(snr_at_low(heads, now, scenario), needed(scenario.radio.packet_bits, scenario)))
+}
+
+/// γ at a_p = 1 as the channel head predicts it for this interval.
+#[must_use]
+pub fn snr_at_low(heads: &HeadsAt, now: Latents, scenario: &Scenario) -> f64 {
+    let gain = |y_u: [f32; 2]| f64::from(heads.log_gain(now.y_c, y_u)).exp();
+    // Of two obstacles the one that blocks more.
+    let gain = now.y_u_second.map_or(f64::INFINITY, gain).min(gain(now.y_u));
+    gain * TxPower::Low.level() / scenario.channel.noise_power
+}
+
+/// max(γ_min, γ_out) for a packet of `bits`.
+#[must_use]
+pub fn needed(bits: f64, scenario: &Scenario) -> f64 {
+    scenario.channel.snr_min.max(outage_snr(scenario.radio.b_dt, bits).0)
+}
+
+/// High where low power does not reach `needed` and high power may: the minimiser of stage 2.
+#[must_use]
+pub fn power(snr_at_low: f64, needed: f64) -> TxPower {
+    let enough = snr_at_low >= HEADROOM * needed;
+    let hopeless = snr_at_low * TxPower::High.level() * HEADROOM < needed;
+    if enough || hopeless { TxPower::Low } else { TxPower::High }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_smallest_power_that_carries_the_packet() {
+        let mut scenario = Scenario::default();
+        scenario.radio.b_dt = 2.0;
+        // 2^(4/2) - 1 = 3
+        assert!((needed(4.0, &scenario) - 3.0).abs() < 1e-12);
+        scenario.radio.b_dt = 8.0;
+        assert_eq!(needed(4.0, &scenario), scenario.channel.snr_min);
+        for (snr, want) in [(4.0, TxPower::Low), (3.1, TxPower::High), (0.76, TxPower::High)] {
+            assert_eq!(power(snr, 3.0), want, "snr {snr}");
+        }
+        assert_eq!(power(0.6, 3.0), TxPower::Low, "a packet that fails at both powers is not worth one");
+    }
+}

@@ -1,0 +1,53 @@
+//! Latents without an encoder: what the pictures of the true positions would give if encoding had no
+//! error. CRPL on them shows, beside CRPL on pictures, what the encoder costs in closed loop.
+
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::world::obstacles::Obstacles;
+use nalgebra::Vector2;
+
+use super::reactive::Present;
+use crate::station::belief::Latents;
+
+/// y_c of the interval before: M = 2.
+#[derive(Debug, Clone, Default)]
+pub struct Memory {
+    before: Option<[f32; 2]>,
+}
+
+impl Memory {
+    /// The latents whose probe tells exactly these positions.
+    pub fn latents(&mut self, world: &WorldModel, now: &Present) -> Latents {
+        let plane = |y: Option<Vector2<f64>>| y.map_or([0.0; 2], |y| [y.x as f32, y.y as f32]);
+        let y_c = plane(world.probe.c.invert(now.r));
+        let y_c_before = self.before.replace(y_c).unwrap_or(y_c);
+        let y_u = |place| plane(world.probe.u.invert(place));
+        let Obstacles { first, second } = now.obstacles;
+        Latents { y_c, y_c_before, y_u: y_u(first), y_u_second: second.map(y_u) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crpl_sitl::{Scenario, camera};
+
+    #[test]
+    fn they_are_what_the_encoder_sees() {
+        let world = WorldModel::embedded().unwrap();
+        let scenario = Scenario::default();
+        let obstacle = scenario.obstacle.position;
+        let mut memory = Memory::default();
+        let mut before = None;
+        for r in [Vector2::new(0.3, 0.7), Vector2::new(0.33, 0.69)] {
+            let obstacles = Obstacles { first: obstacle, second: None };
+            let exact = memory.latents(&world, &Present { r, v: Vector2::zeros(), obstacles, link: None });
+            let seen = world.encode(&camera::render(r, obstacle, &scenario));
+            // A hundredth of the frame is one pixel; the latents' scale is S units a side.
+            let px =
+                |a: [f32; 2], b: [f32; 2]| 100.0 * f64::from((a[0] - b[0]).hypot(a[1] - b[1])) / world.scale;
+            assert!(px(exact.y_c, world.y_c(&seen)) < 0.2);
+            assert_eq!(exact.y_c_before, before.unwrap_or(exact.y_c));
+            before = Some(exact.y_c);
+        }
+    }
+}

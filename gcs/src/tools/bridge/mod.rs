@@ -1,0 +1,144 @@
+//! `gcs bridge`: a MAVLink router, so that any number of tools share one vehicle.
+//!
+//! | module | what it is | what it does not know |
+//! |---|---|---|
+//! | [`router`] | which frame goes where; copies, losses, round trips | sockets, clocks |
+//! | [`hub`] | UDP and TCP sockets around it, in bursts | messages |
+//! | [`seal`] | message signing | sockets |
+//! | [`tcp`] | one task a connection | frames |
+//! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
+//! | [`metrics`] | `GET /metrics` | what it serves |
+
+pub mod counters;
+pub mod hub;
+pub mod metrics;
+pub mod router;
+pub mod seal;
+pub mod tcp;
+
+use std::io::Write;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use crpl_sitl::link::endpoint::Endpoint;
+use tokio::time::{Instant, interval_at};
+
+use hub::{Hub, Side};
+use router::Notice;
+
+/// Flags of `gcs bridge`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Bridge {
+    /// The vehicle: udpin, udpout, tcpin or tcpout, as udpout:HOST:PORT; several if given again
+    #[arg(long, value_name = "ENDPOINT", required = true)]
+    master: Vec<Endpoint>,
+    /// Who shares it: the same kinds, as many as are wanted
+    #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
+    out: Vec<Endpoint>,
+    /// Sign what goes to the vehicle and pass on only what it has signed, by the key in a file: TOML with
+    /// `key` (64 hexadecimal digits) or `passphrase`; those who share it need none
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
+    /// Serve counters to Prometheus at http://ADDR/metrics
+    #[arg(long, value_name = "ADDR")]
+    metrics: Option<SocketAddr>,
+    /// Write all that passes into a tlog
+    #[arg(long, value_name = "FILE")]
+    tlog: Option<PathBuf>,
+    /// Print the counters every so many seconds; 0 prints them at the end alone
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    stats: u64,
+}
+
+/// How often the log and the timestamps of signatures are written.
+const SAVE: Duration = Duration::from_secs(1);
+
+/// Routes until Ctrl-C, then prints the counters.
+pub async fn run(args: Bridge) -> Result<()> {
+    let mut hub = Hub::default();
+    if let Some(path) = &args.signing_key {
+        hub.seal_masters(path)?;
+    }
+    let sides = [("master", Side::Master, &args.master), ("out", Side::Out, &args.out)];
+    for (role, side, endpoints) in sides {
+        for endpoint in endpoints {
+            say(&format!("{role}: {}", hub.open_on(endpoint, side).await?));
+        }
+    }
+    if let Some(path) = &args.tlog {
+        hub.log_to(path)?;
+    }
+    let mut scrapes = None;
+    if let Some(address) = args.metrics {
+        let (address, requests) = metrics::listen(address).await?;
+        say(&format!("metrics: http://{address}/metrics"));
+        scrapes = Some(requests);
+    }
+    route(&mut hub, scrapes, Duration::from_secs(args.stats)).await?;
+    hub.close().await?;
+    say(&counters::table(&hub.rows(), &[], hub.elapsed()));
+    Ok(())
+}
+
+async fn route(
+    hub: &mut Hub,
+    mut scrapes: Option<tokio::sync::mpsc::Receiver<metrics::Scrape>>,
+    period: Duration,
+) -> Result<()> {
+    let mut tick = interval_at(Instant::now() + SAVE, SAVE);
+    let mut printed = Instant::now();
+    let mut before = Vec::new();
+    let mut interrupted = std::pin::pin!(crpl_sitl::program::cli::interrupted());
+    loop {
+        tokio::select! {
+            done = hub.turn() => done?,
+            _ = tick.tick() => {
+                hub.save()?;
+                let since = printed.elapsed();
+                if !period.is_zero() && since >= period {
+                    printed = Instant::now();
+                    say(&counters::table(&hub.rows(), &before, since));
+                    before = hub.rows().iter().map(|r| (r.counters.received(), r.counters.sent_frames)).collect();
+                }
+            }
+            Some(reply) = next(&mut scrapes) => {
+                // A client that has gone away wants no answer.
+                let _ = reply.send(counters::prometheus(&hub.rows(), hub.forward(), hub.elapsed()));
+            }
+            () = &mut interrupted => return Ok(()),
+        }
+        for notice in hub.notices() {
+            tell(&notice, hub);
+        }
+    }
+}
+
+async fn next(scrapes: &mut Option<tokio::sync::mpsc::Receiver<metrics::Scrape>>) -> Option<metrics::Scrape> {
+    match scrapes {
+        Some(scrapes) => scrapes.recv().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Logs who has appeared where.
+pub fn tell(notice: &Notice, hub: &Hub) {
+    match notice {
+        Notice::Found(link, system, component) => {
+            tracing::info!("{}: system {system} component {component}", hub.router().name(*link));
+        }
+        Notice::SetpointHeld(link) => {
+            tracing::warn!("{}: setpoints kept back, this flight has the vehicle", hub.router().name(*link));
+        }
+        Notice::ModeChange(link) => {
+            tracing::warn!("{}: the operator has changed the mode", hub.router().name(*link));
+        }
+    }
+}
+
+/// A line on stdout at once, even into a pipe. A reader that has gone away is no reason to stop.
+fn say(line: &str) {
+    let mut stdout = std::io::stdout().lock();
+    let _ = writeln!(stdout, "{}", line.trim_end()).and_then(|()| stdout.flush());
+}

@@ -1,0 +1,309 @@
+//! COMMAND_LONG as the standard wants it asked: sent again until answered, with a rising
+//! confirmation, one at a time for each command and target. No socket, no clock.
+//!
+//! An answer counts if it names the command, comes from the target, and is for us or for nobody in
+//! particular. IN_PROGRESS stops the repeating and prolongs the wait; a TEMPORARILY_REJECTED behind it
+//! is the answer to a repeat that was on its way.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use crpl_sitl::link::decoder::Packet;
+use crpl_sitl::link::dialect::{COMMAND_ACK_DATA, COMMAND_LONG_DATA, MavCmd};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
+
+/// Wait before a command is sent again: the standard's autopilots answer within 0.1 s.
+const RETRY: Duration = Duration::from_millis(700);
+/// How often a command is sent in all.
+const ATTEMPTS: u8 = 5;
+/// How long a vehicle may take that says IN_PROGRESS, from its last word on.
+const PROGRESS: Duration = Duration::from_secs(30);
+
+/// A command for a component.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ask {
+    /// What.
+    pub command: MavCmd,
+    /// param1 to param7.
+    pub params: [f32; 7],
+    /// System and component; component 0 asks all, and any answer counts.
+    pub target: (u8, u8),
+}
+
+impl Ask {
+    /// A command whose remaining params are 0.
+    #[must_use]
+    pub fn new<const N: usize>(command: MavCmd, params: [f32; N], target: (u8, u8)) -> Self {
+        let params = std::array::from_fn(|i| params.get(i).copied().unwrap_or(0.0));
+        Self { command, params, target }
+    }
+
+    fn message(&self, confirmation: u8) -> COMMAND_LONG_DATA {
+        let [param1, param2, param3, param4, param5, param6, param7] = self.params;
+        COMMAND_LONG_DATA {
+            command: self.command,
+            param1,
+            param2,
+            param3,
+            param4,
+            param5,
+            param6,
+            param7,
+            confirmation,
+            target_system: self.target.0,
+            target_component: self.target.1,
+        }
+    }
+
+    /// Whether a second one must wait for this one's answer.
+    fn excludes(&self, other: &Self) -> bool {
+        self.command == other.command && self.target == other.target
+    }
+}
+
+/// What came of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// MAV_RESULT_ACCEPTED.
+    Accepted,
+    /// Another MAV_RESULT.
+    Refused(u8),
+    /// No answer to any repeat.
+    Unanswered,
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Accepted => "accepted",
+            Self::Refused(1) => "temporarily rejected",
+            Self::Refused(2) => "denied",
+            Self::Refused(3) => "not supported",
+            Self::Refused(4) => "failed",
+            Self::Refused(6) => "cancelled",
+            Self::Refused(7) => "refused: only as COMMAND_LONG",
+            Self::Refused(8) => "refused: only as COMMAND_INT",
+            Self::Refused(9) => "refused: unsupported frame",
+            Self::Refused(result) => return write!(f, "refused with result {result}"),
+            Self::Unanswered => "not answered",
+        })
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Pending {
+    ask: Ask,
+    sent: u8,
+    due: Duration,
+    in_progress: bool,
+}
+
+/// The commands under way.
+#[derive(Debug, Clone, Default)]
+pub struct Commander {
+    pending: Vec<Pending>,
+    waiting: VecDeque<Ask>,
+    done: VecDeque<(Ask, Verdict)>,
+}
+
+impl Commander {
+    /// Asks; behind an equal command to the same target, if one is under way.
+    pub fn ask(&mut self, ask: Ask, now: Duration) {
+        if self.pending.iter().any(|p| p.ask.excludes(&ask)) {
+            self.waiting.push_back(ask);
+        } else {
+            self.pending.push(Pending { ask, sent: 0, due: now, in_progress: false });
+        }
+    }
+
+    /// Appends what is due by now to a datagram.
+    pub fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        let mut expired = Vec::new();
+        for pending in &mut self.pending {
+            if now < pending.due {
+                continue;
+            }
+            if pending.in_progress || pending.sent == ATTEMPTS {
+                expired.push(pending.ask);
+                continue;
+            }
+            station.push(datagram, &pending.ask.message(pending.sent));
+            pending.sent += 1;
+            pending.due = now + RETRY;
+        }
+        for ask in expired {
+            self.close(ask, Verdict::Unanswered, now);
+        }
+    }
+
+    /// When [`Commander::poll`] has something to do next.
+    #[must_use]
+    pub fn due(&self) -> Option<Duration> {
+        self.pending.iter().map(|pending| pending.due).min()
+    }
+
+    /// A packet has come; it may be an answer.
+    pub fn packet(&mut self, packet: &Packet, now: Duration) {
+        const ACCEPTED: u8 = 0;
+        const TEMPORARILY_REJECTED: u8 = 1;
+        const IN_PROGRESS: u8 = 5;
+        if !packet.is::<COMMAND_ACK_DATA>() {
+            return;
+        }
+        let fields = packet.fields();
+        let (command, result) = (fields.u16(0), fields.u8(2));
+        let (system, component) = (fields.u8(8), fields.u8(9));
+        let ours =
+            (system == 0 || system == STATION_SYSTEM) && (component == 0 || component == STATION_COMPONENT);
+        let answered = |p: &&mut Pending| {
+            let (system, component) = p.ask.target;
+            p.ask.command as u32 == u32::from(command)
+                && system == packet.system
+                && (component == 0 || component == packet.component)
+                && p.sent > 0
+        };
+        let Some(pending) = self.pending.iter_mut().find(answered).filter(|_| ours) else { return };
+        match result {
+            IN_PROGRESS => {
+                pending.in_progress = true;
+                pending.due = now + PROGRESS;
+            }
+            TEMPORARILY_REJECTED if pending.in_progress => {}
+            _ => {
+                let verdict = if result == ACCEPTED { Verdict::Accepted } else { Verdict::Refused(result) };
+                let ask = pending.ask;
+                self.close(ask, verdict, now);
+            }
+        }
+    }
+
+    fn close(&mut self, ask: Ask, verdict: Verdict, now: Duration) {
+        self.pending.retain(|pending| pending.ask != ask);
+        self.done.push_back((ask, verdict));
+        if let Some(next) = self.waiting.iter().position(|waiting| waiting.excludes(&ask))
+            && let Some(next) = self.waiting.remove(next)
+        {
+            self.ask(next, now);
+        }
+    }
+
+    /// The next command that is over.
+    pub fn take(&mut self) -> Option<(Ask, Verdict)> {
+        self.done.pop_front()
+    }
+
+    /// Whether a command of this kind is under way or waits.
+    #[must_use]
+    pub fn busy(&self, command: MavCmd) -> bool {
+        self.pending.iter().map(|p| &p.ask).chain(&self.waiting).any(|ask| ask.command == command)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::link::decoder::Decoder;
+    use crpl_sitl::link::dialect::MavResult;
+
+    use super::*;
+
+    const MODE: Ask = Ask {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        params: [1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        target: (3, 1),
+    };
+
+    fn at(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// What a commander sends at `now`: command and confirmation of each.
+    fn sent(commander: &mut Commander, now: Duration) -> Vec<(u16, u8)> {
+        let mut datagram = Vec::new();
+        commander.poll(now, &mut Encoder::new(255, 190), &mut datagram);
+        let packets = Decoder::default().datagram(&datagram);
+        packets.iter().map(|p| (p.fields().u16(28), p.fields().u8(32))).collect()
+    }
+
+    fn ack(from: (u8, u8), command: u16, result: MavResult, to: (u8, u8)) -> Packet {
+        let mut datagram = Vec::new();
+        Encoder::new(from.0, from.1).push_ack(&mut datagram, command, result, to);
+        Decoder::default().datagram(&datagram).remove(0)
+    }
+
+    const US: (u8, u8) = (255, 190);
+    const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
+
+    #[test]
+    fn an_unanswered_command_is_sent_five_times_with_rising_confirmation() {
+        let mut commander = Commander::default();
+        commander.ask(MODE, at(0));
+        for k in 0..5 {
+            assert_eq!(sent(&mut commander, at(700 * k)), [(176, k as u8)]);
+            assert_eq!(sent(&mut commander, at(700 * k + 699)), []);
+        }
+        assert_eq!(
+            (sent(&mut commander, at(3500)), commander.take()),
+            (vec![], Some((MODE, Verdict::Unanswered)))
+        );
+        assert_eq!(commander.due(), None);
+    }
+
+    #[test]
+    fn only_the_target_s_own_answer_to_us_counts() {
+        let mut commander = Commander::default();
+        commander.ask(MODE, at(0));
+        sent(&mut commander, at(0));
+        for wrong in [
+            ack((2, 1), 176, OK, US),
+            ack((3, 68), 176, OK, US),
+            ack((3, 1), 400, OK, US),
+            ack((3, 1), 176, OK, (254, 190)),
+            ack((3, 1), 176, OK, (255, 1)),
+        ] {
+            commander.packet(&wrong, at(1));
+            assert_eq!(commander.take(), None, "{wrong:?}");
+        }
+        commander.packet(&ack((3, 1), 176, OK, (0, 0)), at(2));
+        assert_eq!(commander.take(), Some((MODE, Verdict::Accepted)));
+        commander.packet(&ack((3, 1), 176, OK, US), at(3));
+        assert_eq!(commander.take(), None, "a second answer is none");
+    }
+
+    #[test]
+    fn one_is_under_way_for_each_command_and_target() {
+        let mut commander = Commander::default();
+        let other = Ask { target: (4, 1), ..MODE };
+        for ask in [MODE, MODE, other] {
+            commander.ask(ask, at(0));
+        }
+        assert_eq!(sent(&mut commander, at(0)).len(), 2);
+        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_DENIED, US), at(5));
+        assert_eq!(commander.take(), Some((MODE, Verdict::Refused(2))));
+        assert_eq!(sent(&mut commander, at(5)), [(176, 0)], "the next begins anew");
+        assert!(commander.busy(MavCmd::MAV_CMD_DO_SET_MODE));
+    }
+
+    #[test]
+    fn progress_stops_the_repeats_and_a_late_rejection_of_one_is_no_answer() {
+        let mut commander = Commander::default();
+        commander.ask(MODE, at(0));
+        sent(&mut commander, at(0));
+        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
+        assert_eq!(sent(&mut commander, at(5000)), []);
+        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED, US), at(5000));
+        assert_eq!(commander.take(), None);
+        commander.packet(&ack((3, 1), 176, OK, US), at(6000));
+        assert_eq!(commander.take(), Some((MODE, Verdict::Accepted)));
+    }
+
+    #[test]
+    fn a_vehicle_that_stays_in_progress_is_given_up() {
+        let mut commander = Commander::default();
+        commander.ask(MODE, at(0));
+        sent(&mut commander, at(0));
+        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
+        assert_eq!(sent(&mut commander, at(10) + PROGRESS), []);
+        assert_eq!(commander.take(), Some((MODE, Verdict::Unanswered)));
+    }
+}

@@ -1,0 +1,84 @@
+//! `gcs mission`: missions of any MAVLink vehicle, uploaded, downloaded and cleared.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`item`] | a waypoint or another item, and its bytes |
+//! | [`exchange`] | upload, download, clear; lost packets are asked for again |
+//! | [`mod@file`] | QGroundControl's `.plan`, and `QGC WPL 110` text |
+
+#![expect(deprecated, reason = "vehicles still use what the standard has superseded")]
+
+pub mod exchange;
+pub mod file;
+pub mod item;
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::Subcommand;
+
+use crate::tools::fleet::Stack;
+use crate::tools::session::{Link, Session};
+use exchange::{Clear, Download, Upload};
+use file::Plan;
+
+/// Flags of `gcs mission`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Missions {
+    #[command(flatten)]
+    link: Link,
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Clone, Subcommand)]
+enum Action {
+    /// Give the vehicle the mission of a file
+    Upload {
+        /// .plan (QGroundControl) or `QGC WPL 110` text
+        file: PathBuf,
+    },
+    /// Write the vehicle's mission to a file
+    Download {
+        /// .plan (QGroundControl), any other name: `QGC WPL 110` text
+        file: PathBuf,
+    },
+    /// Take the vehicle's mission away
+    Clear,
+}
+
+/// Does what was asked and prints it.
+pub async fn run(args: Missions) -> Result<()> {
+    // What is wrong with the file is said before anybody is asked.
+    let plan = match &args.action {
+        Action::Upload { file } => Some(file::read(file)?),
+        _ => None,
+    };
+    let mut session = Session::open(&args.link).await?;
+    let target = session.target();
+    // ArduPilot's item 0 is home.
+    let ardupilot = session.vehicle().is_some_and(|vehicle| vehicle.mode.stack == Stack::ArduPilot);
+    match args.action {
+        Action::Upload { file } => {
+            let plan = plan.unwrap_or_default();
+            let items = plan.items_for(ardupilot);
+            if items.is_empty() {
+                bail!("{}: no item in it; `gcs mission clear` takes a mission away", file.display());
+            }
+            let count = items.len();
+            session.run(&mut Upload::new(items, target)).await?;
+            println!("{count} items uploaded to vehicle {}", target.0);
+        }
+        Action::Download { file } => {
+            let items = session.run(&mut Download::new(target)).await?;
+            let count = items.len();
+            Plan::downloaded(items, ardupilot).write(&file)?;
+            println!("{count} items in {}", file.display());
+        }
+        Action::Clear => {
+            session.run(&mut Clear::new(target)).await?;
+            println!("vehicle {} has no mission any more", target.0);
+        }
+    }
+    session.close().await
+}

@@ -1,0 +1,478 @@
+//! The parameter protocol: list, read, set. Without socket and clock; what is lost is asked for again.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use crpl_sitl::link::decoder::Packet;
+use crpl_sitl::link::dialect::{
+    MavMessage, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+    PARAM_VALUE_DATA,
+};
+use crpl_sitl::link::encoder::Encoder;
+
+use super::value::{Encoding, Kind, NoNumber, Number};
+use crate::tools::retry::Question;
+use crate::tools::session::Exchange;
+
+/// Silence in a list after which what is missing is asked for.
+const PAUSE: Duration = Duration::from_millis(400);
+/// Missing parameters that are asked for at a time.
+const BATCH: usize = 20;
+/// Longest name.
+const NAME: usize = 16;
+/// Index of a value that is told but not at its place in the list.
+const NO_INDEX: u16 = u16::MAX;
+
+/// A parameter of a vehicle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Param {
+    /// Name.
+    pub name: String,
+    /// Type.
+    pub kind: Kind,
+    /// Value.
+    pub value: Number,
+}
+
+impl fmt::Display for Param {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:<16} {}", self.name, self.value)
+    }
+}
+
+/// Not a parameter's name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no parameter's name: 1 to 16 letters, digits and underscores")]
+pub struct NoName(String);
+
+fn checked(name: &str) -> Result<(), NoName> {
+    let good = (1..=NAME).contains(&name.len()) && name.bytes().all(|b| b.is_ascii_graphic());
+    if good { Ok(()) } else { Err(NoName(name.into())) }
+}
+
+/// A PARAM_VALUE: index, number of parameters, parameter.
+fn value_of(packet: &Packet, target: (u8, u8), encoding: Encoding) -> Option<(u16, u16, Param)> {
+    if !packet.is::<PARAM_VALUE_DATA>() || (packet.system, packet.component) != target {
+        return None;
+    }
+    let fields = packet.fields();
+    let kind = Kind::of(fields.u8(24));
+    let value = Number::decode(fields.u32(0).to_le_bytes(), kind, encoding);
+    Some((fields.u16(6), fields.u16(4), Param { name: fields.text(8, NAME), kind, value }))
+}
+
+/// Whether the vehicle says that it has no such parameter, or will not have it set so.
+fn error_of(packet: &Packet, name: &str, target: (u8, u8)) -> Option<String> {
+    if !packet.is::<PARAM_ERROR_DATA>() || (packet.system, packet.component) != target {
+        return None;
+    }
+    let Some(MavMessage::PARAM_ERROR(error)) = packet.message() else { return None };
+    if error.param_id.to_str() != Ok(name) {
+        return None;
+    }
+    Some(match error.error as u8 {
+        1 => format!("there is no parameter {name}"),
+        2 => format!("{name}: the value is out of range"),
+        3 => format!("{name}: permission denied"),
+        6 => format!("{name}: read only"),
+        code => format!("{name}: refused with error {code}"),
+    })
+}
+
+/// All parameters, in the vehicle's order.
+#[derive(Debug)]
+pub struct List {
+    target: (u8, u8),
+    encoding: Encoding,
+    count: Option<u16>,
+    found: BTreeMap<u16, Param>,
+    question: Question<()>,
+    asked_again: u64,
+}
+
+impl List {
+    /// Of this system and component.
+    #[must_use]
+    pub fn new(target: (u8, u8), encoding: Encoding) -> Self {
+        Self {
+            target,
+            encoding,
+            count: None,
+            found: BTreeMap::new(),
+            question: Question::default(),
+            asked_again: 0,
+        }
+    }
+
+    /// How many had to be asked for again.
+    #[must_use]
+    pub fn asked_again(&self) -> u64 {
+        self.asked_again
+    }
+
+    fn missing(&self) -> impl Iterator<Item = u16> {
+        (0..self.count.unwrap_or(0)).filter(|index| !self.found.contains_key(index))
+    }
+}
+
+impl Exchange for List {
+    type Output = Vec<Param>;
+
+    fn packet(&mut self, packet: &Packet, now: Duration) {
+        let Some((index, count, param)) = value_of(packet, self.target, self.encoding) else { return };
+        if index == NO_INDEX {
+            return;
+        }
+        self.count = Some(count);
+        if self.found.insert(index, param).is_none() {
+            self.question.retry.go_on(now + PAUSE);
+        } else {
+            self.question.retry.not_before(now + PAUSE);
+        }
+        if self.missing().next().is_none() {
+            self.question.answered(Ok(()));
+        }
+    }
+
+    fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        let (count, found) = (self.count, self.found.len());
+        let silence = || match count {
+            None => "no answer to a request for the parameters".into(),
+            Some(count) => format!("only {found} of {count} parameters came"),
+        };
+        if !self.question.fires(now, silence) {
+            return;
+        }
+        let (target_system, target_component) = self.target;
+        if self.count.is_none() {
+            station.push(datagram, &PARAM_REQUEST_LIST_DATA { target_system, target_component });
+            return;
+        }
+        let missing: Vec<u16> = self.missing().take(BATCH).collect();
+        self.asked_again += missing.len() as u64;
+        for index in missing {
+            let ask = PARAM_REQUEST_READ_DATA {
+                param_index: index as i16,
+                target_system,
+                target_component,
+                ..Default::default()
+            };
+            station.push(datagram, &ask);
+        }
+    }
+
+    fn due(&self) -> Option<Duration> {
+        Some(self.question.retry.due())
+    }
+
+    fn outcome(&mut self) -> Option<Result<Vec<Param>, String>> {
+        let answer = self.question.take()?;
+        Some(answer.map(|()| self.found.values().cloned().collect()))
+    }
+}
+
+/// One parameter by its name.
+#[derive(Debug)]
+pub struct Read {
+    name: String,
+    target: (u8, u8),
+    encoding: Encoding,
+    question: Question<Param>,
+}
+
+impl Read {
+    /// Of this system and component.
+    pub fn new(name: String, target: (u8, u8), encoding: Encoding) -> Result<Self, NoName> {
+        checked(&name)?;
+        Ok(Self { name, target, encoding, question: Question::default() })
+    }
+}
+
+impl Exchange for Read {
+    type Output = Param;
+
+    fn packet(&mut self, packet: &Packet, _now: Duration) {
+        if let Some(why) = error_of(packet, &self.name, self.target) {
+            self.question.answered(Err(why));
+        }
+        let value = value_of(packet, self.target, self.encoding);
+        if let Some((.., param)) = value.filter(|(.., param)| param.name == self.name) {
+            self.question.answered(Ok(param));
+        }
+    }
+
+    fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        let silence = || format!("no answer for {}: is there such a parameter?", self.name);
+        if !self.question.fires(now, silence) {
+            return;
+        }
+        let ask = PARAM_REQUEST_READ_DATA {
+            param_index: -1,
+            target_system: self.target.0,
+            target_component: self.target.1,
+            param_id: self.name.as_str().into(),
+        };
+        station.push(datagram, &ask);
+    }
+
+    fn due(&self) -> Option<Duration> {
+        Some(self.question.retry.due())
+    }
+
+    fn outcome(&mut self) -> Option<Result<Param, String>> {
+        self.question.take()
+    }
+}
+
+/// What became of a value that was set.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Written {
+    /// The vehicle has it.
+    Taken(Param),
+    /// The vehicle keeps this.
+    Kept(Param),
+}
+
+/// Sets one parameter.
+#[derive(Debug)]
+pub struct Set {
+    payload: [u8; 23],
+    wanted: Param,
+    target: (u8, u8),
+    encoding: Encoding,
+    question: Question<Written>,
+    /// Another value was told once, which may have crossed our question.
+    contradicted: bool,
+}
+
+impl Set {
+    /// Sets `param`, whose type is known, to `value`.
+    pub fn new(param: &Param, value: Number, target: (u8, u8), encoding: Encoding) -> Result<Self, NoNumber> {
+        let mut payload = [0; 23];
+        payload[..4].copy_from_slice(&value.encode(encoding)?);
+        payload[4..6].copy_from_slice(&[target.0, target.1]);
+        for (to, from) in payload[6..22].iter_mut().zip(param.name.bytes()) {
+            *to = from;
+        }
+        payload[22] = param.kind.code();
+        Ok(Self {
+            payload,
+            wanted: Param { value, ..param.clone() },
+            target,
+            encoding,
+            question: Question::default(),
+            contradicted: false,
+        })
+    }
+}
+
+impl Exchange for Set {
+    type Output = Written;
+
+    fn packet(&mut self, packet: &Packet, now: Duration) {
+        if let Some(why) = error_of(packet, &self.wanted.name, self.target) {
+            self.question.answered(Err(why));
+            return;
+        }
+        let Some((.., param)) = value_of(packet, self.target, self.encoding) else { return };
+        if param.name != self.wanted.name || !self.question.retry.asked() {
+            return;
+        }
+        if param.value == self.wanted.value {
+            self.question.answered(Ok(Written::Taken(param)));
+        } else if self.contradicted {
+            self.question.answered(Ok(Written::Kept(param)));
+        } else {
+            self.contradicted = true;
+            self.question.retry.not_before(now);
+        }
+    }
+
+    fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        if !self.question.fires(now, || format!("no answer to setting {}", self.wanted.name)) {
+            return;
+        }
+        station.push_payload::<PARAM_SET_DATA>(datagram, &self.payload);
+    }
+
+    fn due(&self) -> Option<Duration> {
+        Some(self.question.retry.due())
+    }
+
+    fn outcome(&mut self) -> Option<Result<Written, String>> {
+        self.question.take()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::link::decoder::Decoder;
+    use crpl_sitl::world::noise::{Noise, Stream};
+    use proptest::prelude::*;
+    use rand::RngExt;
+
+    use super::*;
+
+    const VEHICLE: (u8, u8) = (7, 1);
+
+    fn param(k: u16) -> Param {
+        let kind = if k.is_multiple_of(3) { Kind::Real } else { Kind::Int { bits: 32, signed: true } };
+        let value =
+            if kind == Kind::Real { Number::Real(f32::from(k) / 8.0) } else { Number::Int(-i64::from(k)) };
+        Param { name: format!("PARAM_{k}"), kind, value }
+    }
+
+    /// A vehicle with `count` parameters that hears and speaks through a path that loses `lost`.
+    struct Peer {
+        params: Vec<Param>,
+        encoding: Encoding,
+        encoder: Encoder,
+        keeps: bool,
+    }
+
+    impl Peer {
+        fn new(count: u16, encoding: Encoding) -> Self {
+            let params = (0..count).map(param).collect();
+            Self { params, encoding, encoder: Encoder::new(VEHICLE.0, VEHICLE.1), keeps: false }
+        }
+
+        fn value(&mut self, index: usize) -> Vec<u8> {
+            let param = &self.params[index];
+            let mut payload = [0; 25];
+            payload[..4].copy_from_slice(&param.value.encode(self.encoding).unwrap());
+            payload[4..6].copy_from_slice(&(self.params.len() as u16).to_le_bytes());
+            payload[6..8].copy_from_slice(&(index as u16).to_le_bytes());
+            payload[8..8 + param.name.len()].copy_from_slice(param.name.as_bytes());
+            payload[24] = param.kind.code();
+            let mut out = Vec::new();
+            self.encoder.push_payload::<PARAM_VALUE_DATA>(&mut out, &payload);
+            out
+        }
+
+        fn hear(&mut self, packet: &Packet) -> Vec<Vec<u8>> {
+            let fields = packet.fields();
+            if packet.is::<PARAM_REQUEST_LIST_DATA>() {
+                return (0..self.params.len()).map(|index| self.value(index)).collect();
+            }
+            let (at, name) = if packet.is::<PARAM_REQUEST_READ_DATA>() {
+                (fields.u16(0) as i16, fields.text(4, NAME))
+            } else {
+                (-1, fields.text(6, NAME))
+            };
+            let index = match usize::try_from(at) {
+                Ok(index) => index,
+                Err(_) => match self.params.iter().position(|param| param.name == name) {
+                    Some(index) => index,
+                    None => return vec![],
+                },
+            };
+            if packet.is::<PARAM_SET_DATA>() && !self.keeps {
+                let kind = self.params[index].kind;
+                assert_eq!(fields.u8(22), kind.code());
+                self.params[index].value = Number::decode(fields.u32(0).to_le_bytes(), kind, self.encoding);
+            }
+            vec![self.value(index)]
+        }
+    }
+
+    /// Runs an exchange against a peer; the k-th packet of both ways together is lost if `lost(k)`.
+    fn run<E: Exchange>(
+        exchange: &mut E,
+        peer: &mut Peer,
+        mut lost: impl FnMut(usize) -> bool,
+    ) -> Result<E::Output, String> {
+        let (mut ours, mut theirs) = (Decoder::default(), Decoder::default());
+        let (mut station, mut count, mut now) = (Encoder::new(255, 190), 0, Duration::ZERO);
+        for _ in 0..10_000 {
+            let mut datagram = Vec::new();
+            exchange.poll(now, &mut station, &mut datagram);
+            if let Some(outcome) = exchange.outcome() {
+                return outcome;
+            }
+            for packet in theirs.datagram(&datagram) {
+                count += 1;
+                if lost(count) {
+                    continue;
+                }
+                for answer in peer.hear(&packet) {
+                    count += 1;
+                    if !lost(count) {
+                        for packet in ours.datagram(&answer) {
+                            exchange.packet(&packet, now);
+                        }
+                    }
+                }
+            }
+            now = exchange.due().unwrap().max(now + Duration::from_millis(1));
+        }
+        panic!("the exchange hangs");
+    }
+
+    proptest! {
+        #[test]
+        fn a_list_is_whole_over_a_path_that_loses(
+            count in 1u16..60, seed in any::<u64>(), percent in 0u64..40, bytewise in any::<bool>()
+        ) {
+            let encoding = if bytewise { Encoding::Bytewise } else { Encoding::CCast };
+            let mut random = seed;
+            let lost = |_| {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (random >> 33) % 100 < percent
+            };
+            let mut peer = Peer::new(count, encoding);
+            // Fortune may lose the same packet time and again; what came must be right all the same.
+            match run(&mut List::new(VEHICLE, encoding), &mut peer, lost) {
+                Ok(params) => prop_assert_eq!(params, peer.params),
+                Err(why) => prop_assert!(percent >= 10, "{}", why),
+            }
+        }
+    }
+
+    #[test]
+    fn a_list_is_whole_where_every_fifth_packet_is_lost_at_random() {
+        for seed in 0..1000 {
+            let mut random = Noise::new(seed).generator(Stream::Start, 0);
+            let mut peer = Peer::new(44, Encoding::CCast);
+            let list = run(&mut List::new(VEHICLE, Encoding::CCast), &mut peer, |_| random.random_bool(0.2));
+            assert_eq!(list, Ok(peer.params), "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_list_asks_again_for_what_is_missing_alone() {
+        let mut peer = Peer::new(50, Encoding::CCast);
+        let mut list = List::new(VEHICLE, Encoding::CCast);
+        let params = run(&mut list, &mut peer, |k| matches!(k, 10 | 20 | 51)).unwrap();
+        assert_eq!((params, list.asked_again()), (peer.params, 3));
+    }
+
+    #[test]
+    fn a_value_is_set_echoed_and_a_refusal_told() {
+        for encoding in [Encoding::CCast, Encoding::Bytewise] {
+            let mut peer = Peer::new(5, encoding);
+            let before =
+                run(&mut Read::new("PARAM_4".into(), VEHICLE, encoding).unwrap(), &mut peer, |k| k == 2);
+            assert_eq!(before, Ok(param(4)));
+            let mut set = Set::new(&param(4), Number::Int(77), VEHICLE, encoding).unwrap();
+            let taken = run(&mut set, &mut peer, |k| k < 3).unwrap();
+            assert_eq!(taken, Written::Taken(Param { value: Number::Int(77), ..param(4) }));
+            peer.keeps = true;
+            let mut set = Set::new(&param(3), Number::Real(0.5), VEHICLE, encoding).unwrap();
+            assert_eq!(run(&mut set, &mut peer, |_| false), Ok(Written::Kept(param(3))));
+        }
+    }
+
+    #[test]
+    fn what_is_not_there_is_said_in_words() {
+        let mut peer = Peer::new(5, Encoding::CCast);
+        let mut read = Read::new("NO_SUCH".into(), VEHICLE, Encoding::CCast).unwrap();
+        let why = run(&mut read, &mut peer, |_| false).unwrap_err();
+        assert_eq!(why, "no answer for NO_SUCH: is there such a parameter?");
+        let why = run(&mut List::new((9, 1), Encoding::CCast), &mut peer, |_| false).unwrap_err();
+        assert_eq!(why, "no answer to a request for the parameters");
+        let why = run(&mut List::new(VEHICLE, Encoding::CCast), &mut peer, |k| k > 4).unwrap_err();
+        assert_eq!(why, "only 3 of 5 parameters came");
+        assert!(Read::new("SEVENTEEN_LETTERS".into(), VEHICLE, Encoding::CCast).is_err());
+    }
+}

@@ -1,0 +1,316 @@
+//! `gcs replay`: a flight that is over, again on the wire, for any ground station to watch.
+//!
+//! A tlog is sent frame by frame, byte for byte, as far apart as the frames came. A `record.jsonl` is
+//! told as the vehicle told it: its report, its place on the map and its heartbeat. Commands that a
+//! station sent are left out of a tlog unless they are wanted: nobody is to fly by them.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use crpl_sitl::Scenario;
+use crpl_sitl::link::dialect::{
+    GLOBAL_POSITION_INT_DATA, HEARTBEAT_DATA, MavAutopilot, MavModeFlag, MavState, MavType,
+};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
+use crpl_sitl::link::frame::Splitter;
+use crpl_sitl::link::wire::{self, Clock};
+use crpl_sitl::link::{AUTOPILOT, RADIO, STATION_SYSTEM};
+use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
+use crpl_sitl::sim::record::Record;
+use crpl_sitl::vehicle::geodesy;
+use tokio::time::{Instant, sleep_until};
+
+use crate::tools::bridge::hub::Hub;
+
+/// Flags of `gcs replay`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Replay {
+    /// flight.tlog or record.jsonl of a run folder
+    file: PathBuf,
+    /// Who watches: udpout:HOST:PORT and the like
+    #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
+    out: Vec<Endpoint>,
+    /// How many times faster than it was
+    #[arg(long, value_name = "X", default_value = "1", value_parser = crpl_sitl::program::cli::parse_speedup)]
+    speed: f64,
+    /// Sign what is sent: file with the key of message signing, TOML with `key` or `passphrase`
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
+    /// Send what stations said, too
+    #[arg(long)]
+    all: bool,
+}
+
+/// What is sent, and when after the beginning.
+type Script = Vec<(Duration, Vec<u8>)>;
+
+/// Sends the file to its end.
+pub async fn run(args: Replay) -> Result<()> {
+    let script = script(&args.file, args.all)?;
+    let mut hub = Hub::default();
+    hub.local();
+    if let Some(path) = &args.signing_key {
+        hub.sign_with(path)?;
+    }
+    for out in &args.out {
+        println!("out: {}", hub.open(out).await?);
+    }
+    // A port of ours has no listener before one has spoken to it.
+    if args.out.iter().all(|out| out.direction == Direction::In || out.transport == Transport::Tcp) {
+        println!("waiting for somebody to watch");
+        while hub.router().links().count() < 2 {
+            tokio::select! {
+                turned = hub.turn() => turned?,
+                _ = tokio::signal::ctrl_c() => return Ok(()),
+            }
+        }
+    }
+    let start = Instant::now();
+    for (after, bytes) in &script {
+        let due = start + after.div_f64(args.speed);
+        while Instant::now() < due {
+            tokio::select! {
+                turned = hub.turn() => turned?,
+                () = sleep_until(due) => {}
+                _ = tokio::signal::ctrl_c() => return Ok(()),
+            }
+            while hub.take().is_some() {}
+            hub.notices();
+        }
+        hub.send(bytes).await?;
+    }
+    let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
+    hub.close().await?;
+    println!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
+    Ok(())
+}
+
+fn script(path: &Path, all: bool) -> Result<Script> {
+    let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
+    let name = || path.display().to_string();
+    let script = if path.extension().is_some_and(|end| end == "jsonl") {
+        from_records(&String::from_utf8_lossy(&bytes), &scenario_beside(path)?).with_context(name)?
+    } else {
+        from_tlog(&bytes, all).with_context(name)?
+    };
+    if script.is_empty() {
+        bail!("{}: nothing in it to send", path.display());
+    }
+    Ok(script)
+}
+
+/// The frames of a tlog: 8 bytes of time before each. An end that is cut off, as a crash leaves it, is
+/// told and left out.
+fn from_tlog(bytes: &[u8], all: bool) -> Result<Script> {
+    let (mut script, mut at, mut first) = (Script::new(), 0, None);
+    while at < bytes.len() {
+        let Some((time, frame)) = stamped(&bytes[at..]) else {
+            if bytes.get(at + 8).is_none_or(|magic| matches!(magic, 0xFD | 0xFE)) {
+                tracing::warn!("byte {at}: the last frame is cut off");
+                break;
+            }
+            bail!("byte {at}: no MAVLink frame; is this a tlog?");
+        };
+        let mut sender = None;
+        Splitter::default().split(frame, |frame| sender = Some(frame.system));
+        let Some(sender) = sender else { bail!("byte {at}: a frame with a wrong checksum") };
+        let first = *first.get_or_insert(time);
+        if all || sender != STATION_SYSTEM {
+            script.push((Duration::from_micros(time.saturating_sub(first)), frame.to_vec()));
+        }
+        at += 8 + frame.len();
+    }
+    Ok(script)
+}
+
+/// The time in µs and the frame at the beginning of `bytes`.
+fn stamped(bytes: &[u8]) -> Option<(u64, &[u8])> {
+    let time = u64::from_be_bytes(*bytes.first_chunk()?);
+    let rest = &bytes[8..];
+    let length = usize::from(*rest.get(1)?);
+    let whole = match rest[0] {
+        0xFD => 12 + length + if rest.get(2)? & 1 == 1 { 13 } else { 0 },
+        0xFE => 8 + length,
+        _ => return None,
+    };
+    Some((time, rest.get(..whole)?))
+}
+
+/// The scenario that a run folder holds beside its records, else the paper's.
+fn scenario_beside(path: &Path) -> Result<Scenario> {
+    let beside = path.with_file_name("config.toml");
+    if beside.is_file() {
+        return Ok(Scenario::load(&beside)?);
+    }
+    tracing::info!("no config.toml beside {}: the paper's scale", path.display());
+    Ok(Scenario::default())
+}
+
+fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
+    let clock = Clock::new(scenario);
+    let (mut autopilot, mut radio) = (Encoder::new(1, AUTOPILOT), Encoder::new(1, RADIO));
+    let mut script = Script::new();
+    let mut next_beat = 0.0;
+    for (k, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let record: Record = serde_json::from_str(line).with_context(|| format!("line {}", k + 1))?;
+        let report = report(&record, scenario);
+        let seconds = record.tick.0 as f64 * scenario.scale.interval_s;
+        let mut datagram = Vec::new();
+        if seconds >= next_beat {
+            next_beat = seconds + 1.0;
+            push_heartbeat(&mut autopilot, &mut datagram);
+        }
+        push_place(&report, &clock, scenario, &mut autopilot, &mut datagram);
+        let vertical = [-scenario.scale.altitude_m as f32, 0.0];
+        wire::push_telemetry(&report, &clock, vertical, &mut autopilot, &mut radio, &mut datagram);
+        script.push((Duration::from_secs_f64(seconds), datagram));
+    }
+    Ok(script)
+}
+
+/// What the vehicle reported at the end of an interval.
+fn report(record: &Record, scenario: &Scenario) -> Telemetry {
+    let (scale, a_max) = (&scenario.scale, scenario.dynamics.a_max);
+    let accel = scale.ned_from_paper_acceleration(record.flown * a_max);
+    Telemetry {
+        tick: record.tick.next(),
+        position: scale.ned_from_paper(record.r_next),
+        velocity: scale.ned_from_paper_velocity(record.v_next),
+        obstacle: scale.ned_from_paper(record.obstacle),
+        second_obstacle: record.second_obstacle.map(|place| scale.ned_from_paper(place)),
+        held: record.flown_tick.map(|tick| Held { tick, accel }),
+        link: Some(LinkReport { snr_db: record.snr_db, power: record.power, outage: record.outage }),
+    }
+}
+
+/// As ArduCopter in GUIDED, armed and in the air.
+fn push_heartbeat(autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let message = HEARTBEAT_DATA {
+        custom_mode: 4,
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+        base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED
+            | MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    };
+    autopilot.push(datagram, &message);
+}
+
+/// Where a map shows it.
+fn push_place(
+    report: &Telemetry,
+    clock: &Clock,
+    scenario: &Scenario,
+    autopilot: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
+    let [lat, lon] = geodesy::latitude_longitude(report.position);
+    let [vx, vy] = report.velocity.map(|v| (v * 100.0).round() as i16);
+    let height_mm = scenario.scale.altitude_m * 1e3;
+    let message = GLOBAL_POSITION_INT_DATA {
+        time_boot_ms: clock.boot_ms(report.tick),
+        lat,
+        lon,
+        alt: (geodesy::HOME[2] * 1e3 + height_mm).round() as i32,
+        relative_alt: height_mm.round() as i32,
+        vx,
+        vy,
+        vz: 0,
+        hdg: u16::MAX,
+    };
+    autopilot.push(datagram, &message);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::UNIX_EPOCH;
+
+    use crpl_sitl::link::decoder::Decoder;
+    use crpl_sitl::link::tlog::Tlog;
+    use crpl_sitl::link::wire::TelemetryReader;
+    use crpl_sitl::radio::message::Command;
+    use crpl_sitl::units::{Motion, TxPower};
+    use crpl_sitl::{Sim, units::Tick};
+
+    use super::*;
+
+    fn tlog() -> (Vec<u8>, Vec<Vec<u8>>) {
+        let (mut vehicle, mut station) = (Encoder::new(1, 1), Encoder::new(255, 190));
+        let (mut bytes, mut frames) = (Vec::new(), Vec::new());
+        let mut log = Tlog::new(&mut bytes);
+        for k in 0..4_u64 {
+            let mut frame = Vec::new();
+            let sender = if k == 2 { &mut station } else { &mut vehicle };
+            sender.push(&mut frame, &HEARTBEAT_DATA::default());
+            log.frame(&frame, UNIX_EPOCH + Duration::from_millis(1000 + 250 * k)).unwrap();
+            frames.push(frame);
+        }
+        (bytes, frames)
+    }
+
+    #[test]
+    fn a_tlog_is_sent_as_it_was_without_the_station() {
+        let (bytes, frames) = tlog();
+        let script = from_tlog(&bytes, false).unwrap();
+        let times: Vec<_> = script.iter().map(|(after, _)| after.as_millis()).collect();
+        assert_eq!(times, [0, 250, 750]);
+        assert_eq!(script[2].1, frames[3]);
+        assert_eq!(from_tlog(&bytes, true).unwrap().len(), 4);
+    }
+
+    #[test]
+    fn a_tlog_that_is_cut_or_none_is_told() {
+        let (bytes, _) = tlog();
+        for cut in 1..9 {
+            assert_eq!(from_tlog(&bytes[..bytes.len() - cut], true).unwrap().len(), 3);
+        }
+        let error = from_tlog(b"this is a text file, of course", false).unwrap_err().to_string();
+        assert_eq!(error, "byte 0: no MAVLink frame; is this a tlog?");
+        let mut broken = bytes;
+        broken[20] ^= 1;
+        assert_eq!(
+            from_tlog(&broken, false).unwrap_err().to_string(),
+            "byte 0: a frame with a wrong checksum"
+        );
+    }
+
+    #[test]
+    fn records_tell_what_the_vehicle_told() {
+        let scenario = Scenario::default();
+        let mut sim = Sim::new(scenario.clone(), 3);
+        let (mut lines, mut told) = (String::new(), Vec::new());
+        for k in 0..20 {
+            let motion = Motion::ALL[k % 5].vector() * scenario.dynamics.a_max;
+            let accel = scenario.scale.ned_from_paper_acceleration(motion);
+            let command = Command::new(Tick(k as u64), accel, TxPower::High);
+            let before = sim.telemetry();
+            sim.handle(command);
+            sim.advance();
+            let record = Record::new(&before, &command, &sim.telemetry(), &scenario);
+            lines += &(serde_json::to_string(&record).unwrap() + "\n");
+            told.push(sim.telemetry());
+        }
+        let script = from_records(&lines, &scenario).unwrap();
+        let (mut decoder, mut reader) = (Decoder::default(), TelemetryReader::default());
+        let clock = Clock::new(&scenario);
+        let again: Vec<_> = script
+            .iter()
+            .flat_map(|(_, bytes)| decoder.datagram(bytes))
+            .filter_map(|packet| reader.push(&packet, &clock))
+            .collect();
+        assert_eq!(again.len(), told.len());
+        for (a, b) in again.iter().zip(&told) {
+            assert_eq!((a.tick, a.link, a.held.map(|h| h.tick)), (b.tick, b.link, b.held.map(|h| h.tick)));
+            for (x, y) in a.position.iter().zip(b.position) {
+                assert!((x - y).abs() < 1e-3);
+            }
+        }
+        assert_eq!(script[5].0, Duration::from_secs_f64(2.0));
+        let error = crpl_sitl::program::cli::one_line(&from_records("{\"tick\":1}", &scenario).unwrap_err());
+        assert!(error.starts_with("line 1: missing field"), "{error}");
+    }
+}

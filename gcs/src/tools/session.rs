@@ -1,0 +1,261 @@
+//! A conversation with one vehicle: the shell of everything that asks and waits for answers.
+//!
+//! Beats once a second, finds the vehicle, repeats commands, and runs an [`Exchange`] to its end.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::dialect::{self, MavAutopilot, MavCmd, MavModeFlag, MavState, MavType};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::{AUTOPILOT, MessageData, STATION_COMPONENT, STATION_SYSTEM};
+use tokio::time::{Instant, Interval, interval, sleep_until};
+
+use crate::tools::bridge::hub::Hub;
+use crate::tools::command::{Ask, Commander, Verdict};
+use crate::tools::fleet::{Fleet, News, Vehicle};
+
+/// Heartbeats of every component, by the standard.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// In this time every vehicle on a link has beaten once.
+const GATHER: Duration = Duration::from_millis(1200);
+
+/// Whom to talk to.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Link {
+    /// The vehicle: udpout:HOST:PORT, udpin, tcpout or tcpin
+    #[arg(long, value_name = "ENDPOINT", default_value = "udpout:127.0.0.1:14550")]
+    pub connect: Endpoint,
+    /// System id of the vehicle [default: the only one on the link]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    pub sysid: Option<u8>,
+    /// Component of the vehicle [default: 1, its autopilot]
+    #[arg(long, value_name = "N", default_value_t = AUTOPILOT)]
+    pub component: u8,
+    /// File with the key of message signing: TOML with `key` or `passphrase`
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
+    /// How long to wait for the vehicle's first heartbeat
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    pub patience: u64,
+}
+
+/// Questions and answers of one protocol, without socket and clock.
+pub trait Exchange {
+    /// What comes of it.
+    type Output;
+    /// A packet of the vehicle has come.
+    fn packet(&mut self, packet: &Packet, now: Duration);
+    /// Appends what is due by now to a datagram.
+    fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>);
+    /// When [`Exchange::poll`] has something to do next.
+    fn due(&self) -> Option<Duration>;
+    /// The result, once there is one: an error in words for people.
+    fn outcome(&mut self) -> Option<Result<Self::Output, String>>;
+}
+
+/// A link to one vehicle.
+#[derive(Debug)]
+pub struct Session {
+    hub: Hub,
+    station: Encoder,
+    decoder: Decoder,
+    fleet: Fleet,
+    commander: Commander,
+    system: u8,
+    component: u8,
+    beat: Interval,
+    start: Instant,
+}
+
+impl Session {
+    /// Opens the link and waits for the vehicle.
+    pub async fn open(link: &Link) -> Result<Self> {
+        let mut hub = Hub::default();
+        hub.local();
+        let shown = hub.open(&link.connect).await?;
+        tracing::debug!("{shown}");
+        if let Some(path) = &link.signing_key {
+            hub.sign_with(path)?;
+        }
+        let mut session = Self {
+            hub,
+            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
+            decoder: Decoder::default(),
+            fleet: Fleet::default(),
+            commander: Commander::default(),
+            system: 0,
+            component: link.component,
+            beat: interval(HEARTBEAT),
+            start: Instant::now(),
+        };
+        session.system = session.find(link).await?;
+        Ok(session)
+    }
+
+    /// The vehicle that is wanted, or the only one.
+    async fn find(&mut self, link: &Link) -> Result<u8> {
+        let deadline = Duration::from_secs(link.patience);
+        let mut until = deadline;
+        loop {
+            let systems = self.fleet.systems();
+            match link.sysid {
+                Some(id) if systems.contains(&id) => return Ok(id),
+                None if !systems.is_empty() && until == deadline => {
+                    until = deadline.min(self.now() + GATHER);
+                }
+                _ => {}
+            }
+            if self.now() < until {
+                self.turn(Some(until)).await?;
+                continue;
+            }
+            let heard: Vec<_> = systems.iter().map(ToString::to_string).collect();
+            let heard = heard.join(", ");
+            match (link.sysid, &systems[..]) {
+                (None, &[only]) => return Ok(only),
+                (_, []) => bail!(
+                    "{}: no vehicle heard for {} s; is one there, and does it speak on that port?",
+                    link.connect,
+                    link.patience
+                ),
+                (None, _) => bail!("{}: vehicles {heard} are there: choose one by --sysid", link.connect),
+                (Some(id), _) => bail!("{}: no vehicle {id}; heard: {heard}", link.connect),
+            }
+        }
+    }
+
+    /// The vehicle's system and component.
+    #[must_use]
+    pub fn target(&self) -> (u8, u8) {
+        (self.system, self.component)
+    }
+
+    /// The vehicle by its heartbeats.
+    #[must_use]
+    pub fn vehicle(&self) -> Option<&Vehicle> {
+        self.fleet.get(self.system)
+    }
+
+    /// Time since the session began.
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    /// Waits for packets, a heartbeat of ours or `due`; gives the packets of our vehicle.
+    async fn turn(&mut self, due: Option<Duration>) -> Result<Vec<Packet>> {
+        let wake = due.map(|due| self.start + due);
+        tokio::select! {
+            turned = self.hub.turn() => turned?,
+            () = until(wake) => {}
+            _ = self.beat.tick() => {
+                let mut datagram = Vec::new();
+                push_heartbeat(&mut self.station, &mut datagram);
+                self.hub.send(&datagram).await?;
+            }
+            _ = tokio::signal::ctrl_c() => bail!("interrupted"),
+        }
+        self.hub.notices();
+        let (now, mut ours) = (self.now(), Vec::new());
+        while let Some(datagram) = self.hub.take() {
+            for packet in self.decoder.datagram(&datagram) {
+                self.fleet.packet(&packet, now).iter().for_each(News::log);
+                self.commander.packet(&packet, now);
+                if packet.system == self.system {
+                    ours.push(packet);
+                }
+            }
+        }
+        self.fleet.poll(now).iter().for_each(News::log);
+        Ok(ours)
+    }
+
+    /// Asks a command and waits for its answer; gives also what came meanwhile, as a message that it
+    /// announces may come before or behind the answer.
+    pub async fn command(&mut self, ask: Ask) -> Result<(Verdict, Vec<Packet>)> {
+        self.commander.ask(ask, self.now());
+        let mut heard = Vec::new();
+        loop {
+            let (now, mut datagram) = (self.now(), Vec::new());
+            self.commander.poll(now, &mut self.station, &mut datagram);
+            if !datagram.is_empty() {
+                self.hub.send(&datagram).await?;
+            }
+            while let Some((done, verdict)) = self.commander.take() {
+                if done == ask {
+                    return Ok((verdict, heard));
+                }
+            }
+            heard.extend(self.turn(self.commander.due()).await?);
+        }
+    }
+
+    /// Asks for one message by REQUEST_MESSAGE; `None` if the vehicle does not send it.
+    pub async fn request<M: MessageData>(&mut self) -> Result<Option<Packet>> {
+        let ask = Ask::new(MavCmd::MAV_CMD_REQUEST_MESSAGE, [M::ID as f32], self.target());
+        let (verdict, heard) = self.command(ask).await?;
+        let wanted = |packets: Vec<Packet>| packets.into_iter().find(Packet::is::<M>);
+        if let Some(packet) = wanted(heard) {
+            return Ok(Some(packet));
+        }
+        let patience = self.now() + Duration::from_millis(500);
+        while verdict == Verdict::Accepted && self.now() < patience {
+            if let Some(packet) = wanted(self.turn(Some(patience)).await?) {
+                return Ok(Some(packet));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Runs an exchange to its end.
+    pub async fn run<E: Exchange>(&mut self, exchange: &mut E) -> Result<E::Output> {
+        loop {
+            let (now, mut datagram) = (self.now(), Vec::new());
+            exchange.poll(now, &mut self.station, &mut datagram);
+            if let Some(outcome) = exchange.outcome() {
+                self.send(&datagram).await?;
+                let (system, component) = self.target();
+                return outcome
+                    .map_err(anyhow::Error::msg)
+                    .with_context(|| format!("vehicle {system} component {component}"));
+            }
+            self.send(&datagram).await?;
+            for packet in self.turn(exchange.due()).await? {
+                exchange.packet(&packet, self.now());
+            }
+        }
+    }
+
+    /// Ends the conversation: keeps what must not be forgotten.
+    pub async fn close(mut self) -> Result<()> {
+        self.hub.close().await
+    }
+
+    async fn send(&mut self, datagram: &[u8]) -> Result<()> {
+        if datagram.is_empty() { Ok(()) } else { self.hub.send(datagram).await }
+    }
+}
+
+/// Returns at that instant, or never.
+async fn until(instant: Option<Instant>) {
+    match instant {
+        Some(instant) => sleep_until(instant).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// The heartbeat of a ground station.
+pub fn push_heartbeat(station: &mut Encoder, datagram: &mut Vec<u8>) {
+    let message = dialect::HEARTBEAT_DATA {
+        custom_mode: 0,
+        mavtype: MavType::MAV_TYPE_GCS,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        base_mode: MavModeFlag::empty(),
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    };
+    station.push(datagram, &message);
+}

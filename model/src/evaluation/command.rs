@@ -1,0 +1,93 @@
+//! `model evaluate`: what a world model is worth, printed, drawn and written down.
+
+use std::path::{Path, PathBuf};
+
+use crate::evaluation::figures;
+use crate::evaluation::report::{self, ReportConfig};
+use crate::evaluation::rollout::Start;
+use crate::predictor::networks::{PREDICTORS, Predictors};
+use crate::world_model::{WorldModel, checkpoint};
+use anyhow::{Context, Result, bail};
+use crpl_sitl::Scenario;
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Measure a world model on fresh pictures and draw the paper's Fig. 3.
+#[derive(Debug, clap::Args)]
+pub struct Evaluate {
+    /// Seed of everything that is drawn.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Trajectories from each of the three starts.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(10..=100_000))]
+    trajectories: u64,
+    /// Pictures for the probes and the heads.
+    #[arg(long, value_name = "N", default_value_t = 6000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
+    frames: u64,
+    /// Pictures that the observer sees.
+    #[arg(long, value_name = "M", default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=50))]
+    window: u64,
+    /// Folder for the results and figures.
+    #[arg(long, value_name = "DIR", default_value = "runs/evaluate")]
+    out: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Evaluate) -> Result<()> {
+    let (model, networks) = load(args.checkpoint.as_deref())?;
+    let config = ReportConfig {
+        seed: args.seed,
+        trajectories: args.trajectories as usize,
+        frames: args.frames as usize,
+        window: args.window as usize,
+    };
+    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
+    let bar = ProgressBar::new(Start::ALL.len() as u64 * args.trajectories);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} trajectories {eta} left") {
+        bar.set_style(style);
+    }
+    let measured = report::measure(&model, &networks, &config, &Scenario::default(), || bar.inc(1));
+    bar.finish_and_clear();
+    figures::draw(&measured, &args.out)?;
+    let about = serde_json::json!({
+        "config": config,
+        "world_model": checkpoint::fingerprint(&model)?,
+        "checkpoint": args.checkpoint,
+        "revision": crpl_sitl::program::revision(),
+        "command": std::env::args().collect::<Vec<_>>(),
+        "intervals": "95 %: Wilson for shares, order statistics for quantiles, bootstrap for heads",
+    });
+    write(&args.out.join("run.json"), &about)?;
+    let results = serde_json::to_value(&measured.report)?;
+    write(&args.out.join("evaluation.json"), &results)?;
+    if args.json {
+        println!("{results:#}");
+    } else {
+        print!("{}", measured.report.table());
+        println!("figures and results in {}", args.out.display());
+    }
+    Ok(())
+}
+
+/// The world model and the networks that were trained on its latents.
+fn load(dir: Option<&Path>) -> Result<(WorldModel, Predictors)> {
+    let (model, networks) = match dir {
+        Some(dir) => (WorldModel::load(dir)?, Predictors::load(dir)?),
+        None => (WorldModel::embedded()?, Predictors::embedded()?),
+    };
+    let here = checkpoint::fingerprint(&model)?;
+    if networks.world != here {
+        let place = dir.map_or("embedded".into(), |d| d.display().to_string());
+        bail!("{place}/{PREDICTORS} was trained on world model {}, and this is {here}", networks.world);
+    }
+    Ok((model, networks))
+}
+
+fn write(path: &Path, value: &serde_json::Value) -> Result<()> {
+    std::fs::write(path, format!("{value:#}\n")).with_context(|| format!("writing {}", path.display()))
+}

@@ -1,0 +1,323 @@
+//! All that `model evaluate` measures, as one value: JSON for programs, a table for people.
+
+use crpl_sitl::scenario::Scenario;
+use crpl_sitl::world::noise::{Noise, Stream};
+use nalgebra::Vector2;
+use rand::seq::SliceRandom;
+use serde::Serialize;
+
+use crate::encoder::probe::{effective_rank, quantile, r_squared};
+use crate::encoder::weights::vector;
+use crate::evaluation::intervals::{Interval, bootstrap, of_quantile};
+use crate::evaluation::robustness::{self, HardRow};
+use crate::evaluation::rollout::{self, Errors, HORIZONS, Known, LONGEST, Name, Row, Start, Trajectory};
+use crate::evaluation::{Judged, decoded, judged};
+use crate::heads::labels::{self, Scene, Station, auc, calibration_error};
+use crate::predictor::networks::Predictors;
+use crate::world_model::WorldModel;
+
+/// How much is measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ReportConfig {
+    /// Seed of everything that is drawn.
+    pub seed: u64,
+    /// Trajectories from each start.
+    pub trajectories: usize,
+    /// Pictures for probes and heads.
+    pub frames: usize,
+    /// M, pictures that the observer sees.
+    pub window: usize,
+}
+
+/// What was measured.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Every predictor, start and look-ahead.
+    pub rollout: Vec<Row>,
+    /// Positions from latents.
+    pub probe: ProbeReport,
+    /// Risk and channel.
+    pub heads: HeadsReport,
+    /// Whether actions matter.
+    pub actions: ActionsReport,
+    /// Effective ranks.
+    pub rank: Rank,
+    /// Harder cameras and states.
+    pub hard: Vec<HardRow>,
+}
+
+/// Positions from latents on held-out pictures, l1.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct ProbeReport {
+    /// UAV, whole disc, 90 % quantile.
+    pub z_c_p90_px: f64,
+    /// Obstacle, 90 % quantile.
+    pub z_u_p90_px: f64,
+    /// R² of the obstacle's position from z_c.
+    pub leak_c: f64,
+    /// R² of the UAV's position from z_u.
+    pub leak_u: f64,
+    /// UAV whose disc the frame cuts, 90 % quantile.
+    pub z_c_cut_p90_px: f64,
+    /// 95 % intervals of the three quantiles, in the order z_c, z_u, z_c cut.
+    pub ci: [Interval; 3],
+}
+
+/// The heads, each picture and rollout with a base station anywhere in the frame's square.
+#[derive(Debug, Clone, Serialize)]
+pub struct HeadsReport {
+    /// Area under the curve of p_coll > ½, pictures.
+    pub auc: f64,
+    /// Expected calibration error of p_coll, pictures.
+    pub ece: f64,
+    /// Gain on pictures, rms.
+    pub gain_rms_db: f64,
+    /// Gain along rollouts of 100 steps from rest, every tenth step, rms.
+    pub gain_rollout_rms_db: f64,
+    /// Area under the curve along rollouts.
+    pub auc_rollout: f64,
+    /// Expected calibration error along rollouts.
+    pub ece_rollout: f64,
+    /// Gain on pictures with the UAV within 0.06 of the base station, rms.
+    pub gain_near_rms_db: f64,
+    /// Bootstrap 95 % intervals of auc, ece, gain_rms_db and gain_rollout_rms_db.
+    pub ci: [Interval; 4],
+    /// Reliability on pictures: mean predicted and true probability, and count, of ten bins.
+    pub reliability: Vec<(f64, f64, usize)>,
+}
+
+/// Error after 100 steps from rest, 90 % quantile.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct ActionsReport {
+    /// With the true actions.
+    pub true_px: f64,
+    /// Without actions.
+    pub zero_px: f64,
+    /// With another trajectory's.
+    pub shuffled_px: f64,
+    /// 95 % intervals in that order.
+    pub ci: [Interval; 3],
+}
+
+/// exp of the entropy of the covariance's normalised eigenvalues.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Rank {
+    /// Of z_c.
+    pub z_c: f64,
+    /// Of z_u.
+    pub z_u: f64,
+}
+
+/// The report, and the errors along all rollouts for the figures.
+#[derive(Debug, Clone)]
+pub struct Measured {
+    /// What is printed.
+    pub report: Report,
+    /// Errors of every predictor from every start.
+    pub errors: Vec<(Name, Start, Errors)>,
+}
+
+/// Measures; `tick` hears of every trajectory encoded.
+#[must_use]
+pub fn measure(
+    model: &WorldModel,
+    networks: &Predictors,
+    config: &ReportConfig,
+    scenario: &Scenario,
+    tick: impl Fn() + Sync,
+) -> Measured {
+    let noise = Noise::new(config.seed ^ EVALUATION);
+    let mut errors = Vec::new();
+    let mut rest = None;
+    for start in Start::ALL {
+        let trajectories = rollout::draw(config.trajectories, start, config.window, scenario, &noise);
+        let known = rollout::look(model, &trajectories, scenario, &tick);
+        for name in Name::ALL {
+            errors.push((name, start, rollout::errors(model, networks, name, &trajectories, &known)));
+        }
+        rest.get_or_insert((trajectories, known));
+    }
+    let (trajectories, known) = rest.unwrap_or_default();
+    let rows = errors.iter().flat_map(|(name, start, e)| HORIZONS.map(|h| Row::of(*name, *start, h, e)));
+    let report = Report {
+        rollout: rows.collect(),
+        probe: probe(model, config.frames, scenario, &noise),
+        heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
+        actions: actions(model, &trajectories, &known, &noise),
+        rank: rank(model, config.frames.min(2000), scenario, &noise),
+        hard: robustness::hard_table(model, config.frames.min(2000), scenario, &noise),
+    };
+    Measured { report, errors }
+}
+
+/// Keeps evaluation apart from training on the same seed.
+const EVALUATION: u64 = 0x6576_616c_7561_7465;
+
+fn probe(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -> ProbeReport {
+    let d = decoded(model, frames, scenario, noise);
+    let p90 = |e: &[f64]| quantile(e, 0.9);
+    ProbeReport {
+        z_c_p90_px: p90(&d.whole),
+        z_u_p90_px: p90(&d.obstacle),
+        leak_c: r_squared(&d.z_c, &d.r_u),
+        leak_u: r_squared(&d.z_u, &d.r_c),
+        z_c_cut_p90_px: p90(&d.cut),
+        ci: [&d.whole, &d.obstacle, &d.cut].map(|e| of_quantile(e, 0.9)),
+    }
+}
+
+fn heads_report(
+    model: &WorldModel,
+    frames: usize,
+    (trajectories, known): (&[Trajectory], &[Known]),
+    scenario: &Scenario,
+    noise: &Noise,
+) -> HeadsReport {
+    let floor = model.card.config.heads.distance_floor;
+    let mut rng = noise.generator(Stream::Evaluation, 11);
+    let scenes = labels::sample(frames, Station::Anywhere, scenario, &mut rng);
+    let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
+    let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
+    let pictures = judged(model, &scenes, &seen, scenario, floor);
+
+    let (mut along, mut places) = (Vec::new(), Vec::new());
+    for (t, k) in trajectories.iter().zip(known) {
+        let station = Station::Anywhere.draw(scenario, &mut rng);
+        let obstacle = t.history[t.history.len() - 1][1];
+        let path = rollout::linear(model, k.pair, &t.actions);
+        for h in (9..LONGEST).step_by(10) {
+            along.push((Scene { uav: t.path[h], obstacle }, station));
+            places.push((path[h], k.y_u));
+        }
+    }
+    let rollouts = judged(model, &along, &places, scenario, floor);
+    let near: Vec<f64> = (scenes.iter().zip(&pictures.gain_db))
+        .filter(|((s, station), _)| (s.uav - station).norm() < 0.06)
+        .map(|(_, e)| *e)
+        .collect();
+    let n = scenes.len();
+    // Points of one rollout hang together: whole rollouts are drawn again.
+    let each = LONGEST / 10;
+    let rollouts_ci = bootstrap(trajectories.len(), &mut rng, |picks| {
+        rms(picks.iter().flat_map(|&t| &rollouts.gain_db[t * each..(t + 1) * each]).copied())
+    });
+    let pick = |picks: &[usize], values: &[f64]| picks.iter().map(|&n| values[n]).collect::<Vec<_>>();
+    HeadsReport {
+        auc: auc(&pictures.predicted, &pictures.hit()),
+        ece: calibration_error(&pictures.predicted, &pictures.truth),
+        gain_rms_db: rms(pictures.gain_db.iter().copied()),
+        gain_rollout_rms_db: rms(rollouts.gain_db.iter().copied()),
+        auc_rollout: auc(&rollouts.predicted, &rollouts.hit()),
+        ece_rollout: calibration_error(&rollouts.predicted, &rollouts.truth),
+        gain_near_rms_db: rms(near.into_iter()),
+        ci: [
+            bootstrap(n, &mut rng, |picks| {
+                let some = Judged {
+                    predicted: pick(picks, &pictures.predicted),
+                    truth: pick(picks, &pictures.truth),
+                    gain_db: Vec::new(),
+                };
+                auc(&some.predicted, &some.hit())
+            }),
+            bootstrap(n, &mut rng, |picks| {
+                calibration_error(&pick(picks, &pictures.predicted), &pick(picks, &pictures.truth))
+            }),
+            bootstrap(n, &mut rng, |picks| rms(picks.iter().map(|&n| pictures.gain_db[n]))),
+            rollouts_ci,
+        ],
+        reliability: reliability(&pictures),
+    }
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, n) = values.fold((0.0, 0usize), |(s, n), v| (s + v * v, n + 1));
+    (sum / n.max(1) as f64).sqrt()
+}
+
+/// Ten bins of the predicted probability: mean predicted, mean true, count.
+fn reliability(judged: &Judged) -> Vec<(f64, f64, usize)> {
+    let mut bins = [(0.0, 0.0, 0usize); 10];
+    for (p, t) in judged.predicted.iter().zip(&judged.truth) {
+        let bin = &mut bins[((p * 10.0) as usize).min(9)];
+        *bin = (bin.0 + p, bin.1 + t, bin.2 + 1);
+    }
+    let filled = bins.into_iter().filter(|b| b.2 > 0);
+    filled.map(|(p, t, n)| (p / n as f64, t / n as f64, n)).collect()
+}
+
+fn actions(model: &WorldModel, trajectories: &[Trajectory], known: &[Known], noise: &Noise) -> ActionsReport {
+    let mut other: Vec<usize> = (0..trajectories.len()).collect();
+    other.shuffle(&mut noise.generator(Stream::Evaluation, 12));
+    let still = vec![Vector2::zeros(); LONGEST];
+    let ends = |given: &dyn Fn(usize) -> Vec<Vector2<f64>>| -> Vec<f64> {
+        let each = trajectories.iter().zip(known).enumerate();
+        each.filter_map(|(n, (t, k))| {
+            let path = rollout::linear(model, k.pair, &given(n));
+            rollout::off(model, &path, &t.path).last().copied()
+        })
+        .collect()
+    };
+    let all = [
+        ends(&|n| trajectories[n].actions.clone()),
+        ends(&|_| still.clone()),
+        ends(&|n| trajectories[other[n]].actions.clone()),
+    ];
+    let [true_px, zero_px, shuffled_px] = all.each_ref().map(|e| quantile(e, 0.9));
+    ActionsReport { true_px, zero_px, shuffled_px, ci: all.each_ref().map(|e| of_quantile(e, 0.9)) }
+}
+
+fn rank(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -> Rank {
+    let mut rng = noise.generator(Stream::Evaluation, 13);
+    let scenes: Vec<Scene> = (0..frames).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
+    let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
+    let (c, u): (Vec<_>, Vec<_>) = latents.iter().map(|l| (l.z_c, l.z_u)).unzip();
+    Rank { z_c: effective_rank(&c), z_u: effective_rank(&u) }
+}
+
+impl Report {
+    /// The table for people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut text = String::from(
+            "predictor          start                   H  P(<=.2 px)  P(<=1 px) [95 %]         P(<=5 px)  p90, px [95 %]\n",
+        );
+        for r in &self.rollout {
+            let (name, start) = (word(&r.predictor), word(&r.start));
+            text += &format!(
+                "{name:<18} {start:<22} {:>3}       {:.3}  {:.3} [{:.3}, {:.3}]          {:.3}  {:.3} [{:.3}, {:.3}]\n",
+                r.h, r.p02, r.p1, r.ci.p1[0], r.ci.p1[1], r.p5, r.p90_px, r.ci.p90_px[0], r.ci.p90_px[1]
+            );
+        }
+        let (p, h, a) = (&self.probe, &self.heads, &self.actions);
+        let with =
+            |value: f64, [low, high]: Interval, unit: &str| format!("{value:.4} [{low:.4}, {high:.4}]{unit}");
+        let rows = [
+            ("z_c -> UAV, whole disc, p90", with(p.z_c_p90_px, p.ci[0], " px")),
+            ("z_c -> UAV, cut disc, p90", with(p.z_c_cut_p90_px, p.ci[2], " px")),
+            ("z_u -> obstacle, p90", with(p.z_u_p90_px, p.ci[1], " px")),
+            ("leak z_c -> obstacle, z_u -> UAV, R²", format!("{:.4}, {:.4}", p.leak_c, p.leak_u)),
+            ("effective rank of z_c, z_u", format!("{:.3}, {:.3}", self.rank.z_c, self.rank.z_u)),
+            ("100 steps from rest, true actions, p90", with(a.true_px, a.ci[0], " px")),
+            ("  zero actions", with(a.zero_px, a.ci[1], " px")),
+            ("  shuffled actions", with(a.shuffled_px, a.ci[2], " px")),
+            ("collision AUC, pictures", with(h.auc, h.ci[0], "")),
+            ("collision ECE, pictures", with(h.ece, h.ci[1], "")),
+            ("collision AUC, ECE, rollouts", format!("{:.4}, {:.4}", h.auc_rollout, h.ece_rollout)),
+            ("gain rms, pictures", with(h.gain_rms_db, h.ci[2], " dB")),
+            ("gain rms, rollouts", with(h.gain_rollout_rms_db, h.ci[3], " dB")),
+            ("gain rms, within 0.06 of the base station", format!("{:.4} dB", h.gain_near_rms_db)),
+        ];
+        text.push('\n');
+        text.extend(rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")));
+        text.push_str("\nharder cameras and states, p90 in px              z_c      z_u\n");
+        text.extend(
+            self.hard.iter().map(|r| format!("{:<44} {:8.3} {:8.3}\n", r.case, r.z_c_p90_px, r.z_u_p90_px)),
+        );
+        text
+    }
+}
+
+/// An enum's name as in JSON.
+fn word(value: &impl Serialize) -> String {
+    serde_json::to_value(value).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}

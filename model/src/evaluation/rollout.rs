@@ -1,0 +1,359 @@
+//! Rollouts of every predictor from three start conditions, compared with where the UAV really went.
+//!
+//! All predictors forecast from the same picture. What differs is what is known of the time before it:
+//! the observer sees a window of pictures and the actions between them, the others the last two.
+
+use crpl_sitl::camera::{self, SIDE};
+use crpl_sitl::scenario::Scenario;
+use crpl_sitl::world::dynamics::{self, State};
+use crpl_sitl::world::noise::{Noise, Stream};
+use nalgebra::Vector2;
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::encoder::probe::quantile;
+use crate::evaluation::intervals::{self, Interval};
+use crate::predictor::networks::{Begin, Predictors};
+use crate::predictor::observer::{Observer, Seen};
+use crate::world_model::WorldModel;
+use crate::world_model::dataset::{OBSTACLE_SPEED, START_SPEED};
+
+/// How a trajectory begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Start {
+    /// UAV and obstacle rest: all pictures of the window are equal.
+    Rest,
+    /// The UAV rests, the obstacle moves.
+    RestMovingObstacle,
+    /// The UAV moves, at up to 0.02 units per interval at the start, and so does the obstacle.
+    Moving,
+}
+
+impl Start {
+    /// All, in the order of the tables.
+    pub const ALL: [Self; 3] = [Self::Rest, Self::RestMovingObstacle, Self::Moving];
+}
+
+/// Who predicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Name {
+    /// The linear second-order predictor on the last two latents.
+    Linear,
+    /// The MLP on the same.
+    Mlp,
+    /// The LSTM on the same.
+    Lstm,
+    /// The last step for ever.
+    ConstantVelocity,
+    /// The linear predictor on what the observer makes of its window.
+    Observer,
+}
+
+impl Name {
+    /// All, in the order of the tables.
+    pub const ALL: [Self; 5] = [Self::Linear, Self::Mlp, Self::Lstm, Self::ConstantVelocity, Self::Observer];
+}
+
+/// Look-aheads that are reported.
+pub const HORIZONS: [usize; 5] = [1, 10, 20, 50, 100];
+
+/// Length of a rollout.
+pub const LONGEST: usize = 100;
+
+/// Both bodies before the forecast, and the UAV after it.
+#[derive(Debug, Clone)]
+pub struct Trajectory {
+    /// Places of UAV and obstacle, the last being where the forecast begins.
+    pub history: Vec<[Vector2<f64>; 2]>,
+    /// Normalised accelerations between them.
+    pub flown: Vec<Vector2<f64>>,
+    /// What is flown after.
+    pub actions: Vec<Vector2<f64>>,
+    /// Where the UAV goes.
+    pub path: Vec<Vector2<f64>>,
+}
+
+/// `count` trajectories; the UAV stays in the frame and below v_max throughout.
+#[must_use]
+pub fn draw(
+    count: usize,
+    start: Start,
+    window: usize,
+    scenario: &Scenario,
+    noise: &Noise,
+) -> Vec<Trajectory> {
+    const CHUNK: u64 = 1 << 13;
+    let mut found = Vec::with_capacity(count);
+    let mut candidate = 0;
+    while found.len() < count {
+        let chunk: Vec<Trajectory> = (candidate..candidate + CHUNK)
+            .into_par_iter()
+            .filter_map(|index| {
+                let mut rng = noise.generator(Stream::Evaluation, (start as u64 + 20) << 32 | index);
+                one(start, window, scenario, &mut rng)
+            })
+            .collect();
+        let missing = count - found.len();
+        found.extend(chunk.into_iter().take(missing));
+        candidate += CHUNK;
+    }
+    found
+}
+
+fn one(start: Start, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Option<Trajectory> {
+    let inside = |r: Vector2<f64>| r.iter().all(|x| (0.0..=1.0).contains(x));
+    let (a_max, v_max) = (scenario.dynamics.a_max, scenario.dynamics.v_max);
+    let mut free = scenario.dynamics.clone();
+    free.walls = false;
+    let now = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
+    let speed = if start == Start::Moving { START_SPEED * rng.random::<f64>() } else { 0.0 };
+    let v = direction(rng) * speed;
+
+    // Backwards in time: v_{k-1} = v_k - a_max a_{k-1}.
+    let (mut places, mut flown) = (vec![now], Vec::new());
+    let (mut r, mut back) = (now, v);
+    for _ in 1..window {
+        let a = if start == Start::Moving { action(rng) } else { Vector2::zeros() };
+        r -= back;
+        back -= a_max * a;
+        if !inside(r) || back.norm() > v_max {
+            return None;
+        }
+        places.push(r);
+        flown.push(a);
+    }
+    places.reverse();
+    flown.reverse();
+
+    let mut state = State { r: now, v };
+    let (mut actions, mut path) = (Vec::with_capacity(LONGEST), Vec::with_capacity(LONGEST));
+    for _ in 0..LONGEST {
+        let a = action(rng);
+        if (state.v + a_max * a).norm() > v_max {
+            return None;
+        }
+        state = dynamics::step(state, a, Vector2::zeros(), &free);
+        if !inside(state.r) {
+            return None;
+        }
+        actions.push(a);
+        path.push(state.r);
+    }
+
+    let margin = scenario.obstacle.margin;
+    let mut place = || margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
+    let r = Vector2::new(place(), place());
+    let speed = if start == Start::Rest { 0.0 } else { OBSTACLE_SPEED };
+    let mut body = State { r, v: direction(rng) * speed };
+    let history = places
+        .into_iter()
+        .map(|uav| {
+            let here = body.r;
+            body = dynamics::step_obstacle(body, margin);
+            [uav, here]
+        })
+        .collect();
+    Some(Trajectory { history, flown, actions, path })
+}
+
+fn action(rng: &mut impl Rng) -> Vector2<f64> {
+    Vector2::new(rng.random_range(-1.0..=1.0), rng.random_range(-1.0..=1.0))
+}
+
+fn direction(rng: &mut impl Rng) -> Vector2<f64> {
+    let angle = std::f64::consts::TAU * rng.random::<f64>();
+    Vector2::new(angle.cos(), angle.sin())
+}
+
+/// What is known where a forecast begins, plane coordinates.
+#[derive(Debug, Clone, Copy)]
+pub struct Known {
+    /// y_c of the last picture, and of the one before.
+    pub pair: [Vector2<f64>; 2],
+    /// The same as the observer has them.
+    pub observed: [Vector2<f64>; 2],
+    /// y_u of the last picture.
+    pub y_u: Vector2<f64>,
+}
+
+/// Encodes the window of every trajectory and lets the observer read it.
+#[must_use]
+pub fn look(
+    model: &WorldModel,
+    trajectories: &[Trajectory],
+    scenario: &Scenario,
+    tick: impl Fn() + Sync,
+) -> Vec<Known> {
+    let [motion, _] = model.motions(scenario.dynamics.v_max, 0.0);
+    let known = trajectories.par_iter().map(|t| {
+        let mut observer = Observer::new(motion, t.history.len());
+        let mut pair = [Vector2::zeros(); 2];
+        let mut y_u = Vector2::zeros();
+        let mut last: Option<([Vector2<f64>; 2], [Seen; 2])> = None;
+        for (k, scene) in t.history.iter().enumerate() {
+            // Equal scenes give equal pictures: encoded once.
+            let [c, u] = match last {
+                Some((before, seen)) if before == *scene => seen,
+                _ => model.see(&camera::render(scene[0], scene[1], scenario)),
+            };
+            last = Some((*scene, [c, u]));
+            pair = [c.y, if k == 0 { c.y } else { pair[0] }];
+            y_u = u.y;
+            observer.observe(c, if k == 0 { &[] } else { &t.flown[k - 1..k] });
+        }
+        tick();
+        let observed = observer.estimate().map_or(pair, |e| [e.y, e.before()]);
+        Known { pair, observed, y_u }
+    });
+    known.collect()
+}
+
+/// l1 errors of the decoded position, px: one list a trajectory, one entry a step.
+pub type Errors = Vec<Vec<f64>>;
+
+/// The linear predictor's rollout from (newest, before), plane coordinates.
+#[must_use]
+pub fn linear(model: &WorldModel, from: [Vector2<f64>; 2], actions: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
+    let psi = model.reduced();
+    let [mut now, mut before] = from;
+    let path = actions.iter().map(|a| {
+        (now, before) = (psi.step_c(now, before, *a), now);
+        now
+    });
+    path.collect()
+}
+
+/// Errors of one predictor along all trajectories.
+#[must_use]
+pub fn errors(
+    model: &WorldModel,
+    networks: &Predictors,
+    name: Name,
+    trajectories: &[Trajectory],
+    known: &[Known],
+) -> Errors {
+    let both = || trajectories.par_iter().zip(known.par_iter());
+    let network = |p: &crate::predictor::networks::Predictor| {
+        let begins: Vec<Begin<'_>> = (trajectories.iter().zip(known))
+            .map(|(t, k)| Begin { now: k.pair[0], before: k.pair[1], actions: &t.actions })
+            .collect();
+        p.rollouts(&begins)
+    };
+    let paths: Vec<Vec<Vector2<f64>>> = match name {
+        Name::Linear => both().map(|(t, k)| linear(model, k.pair, &t.actions)).collect(),
+        Name::Observer => both().map(|(t, k)| linear(model, k.observed, &t.actions)).collect(),
+        Name::Mlp => network(&networks.mlp),
+        Name::Lstm => network(&networks.lstm),
+        Name::ConstantVelocity => both()
+            .map(|(t, k)| {
+                let step = k.pair[0] - k.pair[1];
+                (1..=t.actions.len()).map(|h| k.pair[0] + step * h as f64).collect()
+            })
+            .collect(),
+    };
+    paths.iter().zip(trajectories).map(|(path, t)| off(model, path, &t.path)).collect()
+}
+
+/// l1 distance of the decoded latents to the true places, px.
+#[must_use]
+pub fn off(model: &WorldModel, path: &[Vector2<f64>], truth: &[Vector2<f64>]) -> Vec<f64> {
+    path.iter().zip(truth).map(|(y, r)| SIDE as f64 * (model.probe.c.apply(*y) - r).abs().sum()).collect()
+}
+
+/// Intervals of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RowIntervals {
+    /// Of `p02`.
+    pub p02: Interval,
+    /// Of `p1`.
+    pub p1: Interval,
+    /// Of `p5`.
+    pub p5: Interval,
+    /// Of `p90_px`.
+    pub p90_px: Interval,
+}
+
+/// One predictor, start and look-ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Row {
+    /// Who predicts.
+    pub predictor: Name,
+    /// From where.
+    pub start: Start,
+    /// Look-ahead H, intervals.
+    pub h: usize,
+    /// Share of errors up to 0.2 px.
+    pub p02: f64,
+    /// Share of errors up to 1 px.
+    pub p1: f64,
+    /// Share of errors up to 5 px.
+    pub p5: f64,
+    /// 90 % quantile, px.
+    pub p90_px: f64,
+    /// 95 % intervals: Wilson's for the shares, order statistics for the quantile.
+    pub ci: RowIntervals,
+}
+
+impl Row {
+    /// The row at look-ahead `h`, which must be at least 1 and at most the rollouts' length.
+    #[must_use]
+    pub fn of(predictor: Name, start: Start, h: usize, errors: &Errors) -> Self {
+        let at: Vec<f64> = errors.iter().map(|e| e[h - 1]).collect();
+        let n = at.len().max(1);
+        let hits = |px: f64| at.iter().filter(|e| **e <= px).count();
+        let share = |px: f64| hits(px) as f64 / n as f64;
+        let wilson = |px: f64| intervals::wilson(hits(px), n);
+        Self {
+            predictor,
+            start,
+            h,
+            p02: share(0.2),
+            p1: share(1.0),
+            p5: share(5.0),
+            p90_px: quantile(&at, 0.9),
+            ci: RowIntervals {
+                p02: wilson(0.2),
+                p1: wilson(1.0),
+                p5: wilson(5.0),
+                p90_px: intervals::of_quantile(&at, 0.9),
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_history_obeys_the_dynamics_and_ends_where_the_forecast_begins() {
+        let scenario = Scenario::default();
+        for start in Start::ALL {
+            for t in draw(20, start, 20, &scenario, &Noise::new(3)) {
+                assert!(t.history.len() == 20 && t.flown.len() == 19 && t.path.len() == LONGEST);
+                let r: Vec<_> = t.history.iter().map(|h| h[0]).chain(t.path.clone()).collect();
+                let actions: Vec<_> = t.flown.iter().chain(&t.actions).collect();
+                for k in 1..r.len() - 1 {
+                    let bend = r[k + 1] - 2.0 * r[k] + r[k - 1];
+                    assert!((bend - 3.5e-3 * actions[k]).norm() < 1e-12, "{start:?}, frame {k}");
+                }
+                let still = t.history[0][0] == t.history[19][0];
+                assert_eq!(still, start != Start::Moving);
+                let obstacle_still = t.history[0][1] == t.history[19][1];
+                assert_eq!(obstacle_still, start == Start::Rest);
+            }
+        }
+    }
+
+    #[test]
+    fn a_row_counts() {
+        let errors: Errors = (0..100).map(|n| vec![f64::from(n) / 10.0]).collect();
+        let row = Row::of(Name::Linear, Start::Rest, 1, &errors);
+        assert!((row.p02 - 0.03).abs() < 1e-12 && (row.p1 - 0.11).abs() < 1e-12);
+        assert!((row.p5 - 0.51).abs() < 1e-12 && (row.p90_px - 8.9).abs() < 0.11, "{row:?}");
+        assert!(row.ci.p1[0] < 0.11 && row.ci.p1[1] > 0.11);
+    }
+}

@@ -1,0 +1,4 @@
+//! Collision probability and channel gain, read from the latents.
+
+pub mod labels;
+pub mod networks;

@@ -1,0 +1,411 @@
+//! `model optimise`: Algorithm 1 on a trained world model, shown as it runs, resumable.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use crate::planning::algorithm1::{
+    self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
+};
+use crate::planning::flown::{self, Flown};
+use crate::planning::objective::{Estimate, Limits, Objective};
+use crate::planning::policy::Policies;
+use crate::world_model::WorldModel;
+use anyhow::{Context, Result, bail};
+use crpl_sitl::Scenario;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::{Deserialize, Serialize};
+
+/// Optimise π_s and π_p in latent space for one scenario.
+#[derive(Debug, clap::Args)]
+pub struct Optimise {
+    /// The paper's scenario: 1, obstacle beside the direct path, or 2, in it.
+    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: u8,
+    /// A scenario of one's own (TOML), instead of the paper's.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    scenario_file: Option<PathBuf>,
+    /// What differs from Algorithm 1's defaults (TOML).
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Seed of weights, rollouts and starts.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Folder for the policies.
+    #[arg(long, value_name = "DIR", default_value = "runs/policy")]
+    out: PathBuf,
+    /// Go on with a run that was stopped.
+    #[arg(long)]
+    resume: bool,
+    /// Optimise once with each of the rollout's limits (plain, clip, walls), print what each is worth, and
+    /// write nothing.
+    #[arg(long, conflicts_with = "resume")]
+    compare_limits: bool,
+    /// Print the outcome as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Progress on disk, with all that decides where it leads.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Saved {
+    seed: u64,
+    world: String,
+    scenario: Scenario,
+    config: OptimiseConfig,
+    progress: Option<Progress>,
+}
+
+/// What stands beside the policies.
+#[derive(Debug, Serialize)]
+struct Sheet<'a> {
+    scenario: &'a Scenario,
+    seed: u64,
+    revision: String,
+    config: &'a OptimiseConfig,
+    outcome: &'a Outcome,
+    /// Both constraints as flights measure them.
+    flown: &'a Flown,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Optimise) -> Result<()> {
+    let scenario = match &args.scenario_file {
+        Some(path) => Scenario::load(path)?,
+        None => Scenario::numbered(args.scenario)?,
+    };
+    let config = match &args.config {
+        Some(path) => {
+            let text =
+                std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+            toml::from_str(&text).with_context(|| format!("reading {}", path.display()))?
+        }
+        None => OptimiseConfig::default(),
+    };
+    config.check()?;
+    one_obstacle(&scenario)?;
+    let world = match &args.checkpoint {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    if args.compare_limits {
+        return compare_limits(&world, &scenario, &config, args);
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
+    let name = scenario.number().map_or("policy".to_owned(), |n| format!("policy_s{n}"));
+    let saved = args.out.join(format!("{name}.progress.json"));
+    let mut run = Saved {
+        seed: args.seed,
+        world: crate::world_model::checkpoint::fingerprint(&world)?,
+        scenario: scenario.clone(),
+        config: config.clone(),
+        progress: None,
+    };
+    let begun = if args.resume { read_progress(&saved, &mut run)? } else { None };
+
+    let started = Instant::now();
+    let stage = Stage::of(&world, &scenario, &config, args.seed)?;
+    let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
+    let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
+    show.bar.finish_and_clear();
+    let flown = checked(&world, &policies, &scenario, &config);
+    let kept = if flown.safe.holds() && flown.comm.holds() { name } else { format!("{name}.rejected") };
+    write(
+        &args.out,
+        &kept,
+        &policies,
+        &Sheet {
+            scenario: &scenario,
+            seed: args.seed,
+            revision: crpl_sitl::program::revision(),
+            config: &config,
+            outcome: &outcome,
+            flown: &flown,
+        },
+    )?;
+    std::fs::remove_file(&saved).with_context(|| format!("removing {}", saved.display()))?;
+    let wall_s = started.elapsed().as_secs_f64();
+    if args.json {
+        let iterations = algorithm1::total_iterations(&config);
+        let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,
+            "flown": flown, "iterations": iterations, "wall_s": wall_s, "out": args.out});
+        println!("{line:#}");
+    } else {
+        let o = &outcome;
+        println!(
+            "P_safe {:.4}, P_comm {:.4} at full power, J {:.4}",
+            o.motion.p_safe, o.motion.p_comm, o.motion.j
+        );
+        println!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
+        print!("{}", in_words(&flown));
+        println!("{wall_s:.1} s; {}", args.out.join(format!("{kept}.safetensors")).display());
+    }
+    refused(&flown)
+}
+
+/// Count how many closed-loop flights of a policy keep each chance constraint.
+#[derive(Debug, clap::Args)]
+pub struct Check {
+    /// The paper's scenario.
+    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: u8,
+    /// A scenario of one's own (TOML), instead of the paper's.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    scenario_file: Option<PathBuf>,
+    /// File with the policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Flights.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+    /// Kick of the gusts where the scenario has none of its own, units per interval.
+    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick)]
+    kick: f64,
+    /// Seed of the first flight.
+    #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
+    first_seed: u64,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Algorithm 1 knows one obstacle, which stands.
+fn one_obstacle(scenario: &Scenario) -> Result<()> {
+    if scenario.second_obstacle.is_some() {
+        bail!(
+            "scenario {:?} has a second_obstacle; Algorithm 1 plans for one, crpl-rh in flight for two",
+            scenario.name
+        );
+    }
+    Ok(())
+}
+
+/// First seed of the flights that check a policy: far from the seeds of sweeps and of training.
+const FIRST_CHECK: u64 = 3_000_000;
+
+/// Runs the subcommand `check`.
+pub fn check(args: &Check) -> Result<()> {
+    let scenario = match &args.scenario_file {
+        Some(path) => Scenario::load(path)?,
+        None => Scenario::numbered(args.scenario)?,
+    };
+    one_obstacle(&scenario)?;
+    let world = match &args.checkpoint {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    let policies = match (&args.policy, scenario.number()) {
+        (Some(path), _) => Policies::load(path)?,
+        (None, Some(number)) => Policies::shipped(number)?,
+        (None, None) => bail!("--policy is needed: no policies ship for scenario {:?}", scenario.name),
+    };
+    if policies.world != crate::world_model::checkpoint::fingerprint(&world)? {
+        bail!("the policies were made in another world model; name theirs by --checkpoint");
+    }
+    if !(args.kick > 0.0 && args.kick.is_finite()) {
+        bail!("--kick {}: must be above 0", args.kick);
+    }
+    let scenario = gusty(&scenario, args.kick);
+    let (flights, objective) = (usize::try_from(args.flights)?, Objective::default());
+    let flown = flown::measure(&world, &policies, &scenario, &objective, flights, args.first_seed);
+    if args.json {
+        println!("{}", serde_json::to_string(&flown)?);
+    } else {
+        print!("{}", in_words(&flown));
+    }
+    refused(&flown)
+}
+
+/// The scenario with its own gusts, or with these if it has none.
+fn gusty(scenario: &Scenario, kick: f64) -> Scenario {
+    let mut scenario = scenario.clone();
+    if scenario.disturbance.sigma_c == 0.0 {
+        scenario.disturbance.sigma_c = kick / scenario.disturbance.noise_gain;
+    }
+    scenario
+}
+
+fn checked(world: &WorldModel, policies: &Policies, scenario: &Scenario, config: &OptimiseConfig) -> Flown {
+    let scenario = gusty(scenario, config.check_kick);
+    flown::measure(world, policies, &scenario, &config.objective, config.check_flights, FIRST_CHECK)
+}
+
+fn in_words(flown: &Flown) -> String {
+    let line = |what: &str, kept: &flown::Kept| {
+        format!(
+            "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, kick {}; 1 - delta = {}\n",
+            kept.share, kept.ci[0], kept.ci[1], flown.flights, flown.kick, kept.needed
+        )
+    };
+    line("P_safe", &flown.safe) + &line("P_comm", &flown.comm)
+}
+
+/// An error that names the constraint which flights did not keep.
+fn refused(flown: &Flown) -> Result<()> {
+    for (what, kept) in [("P_safe", &flown.safe), ("P_comm", &flown.comm)] {
+        if !kept.holds() {
+            bail!(
+                "the policy does not ship: {what} measured in {} flights is {:.4} (95 % interval from {:.4}), \
+                 needed {}",
+                flown.flights,
+                kept.share,
+                kept.ci[0],
+                kept.needed
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Optimises once for each of [`Limits`] and prints what they are worth, in latent rollouts and in flight.
+fn compare_limits(
+    world: &WorldModel,
+    scenario: &Scenario,
+    config: &OptimiseConfig,
+    args: &Optimise,
+) -> Result<()> {
+    if !args.json {
+        println!("limits     J below   J above   margin             P_safe   P_safe flown  d_f flown");
+    }
+    for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
+        let config = OptimiseConfig { limits, ..config.clone() };
+        let stage = Stage::of(world, scenario, &config, args.seed)?;
+        let (policies, outcome) = optimise(&stage, &config, args.seed, None, &mut Quiet)?;
+        let flown = checked(world, &policies, scenario, &config);
+        let c = &outcome.comparison;
+        if args.json {
+            println!("{}", serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown}));
+        } else {
+            println!(
+                "{:<9} {:>8.4}  {:>8.4}  {:+.4} +- {:.4}  {:>8.4}   {:>8.4}      {:.4}",
+                format!("{limits:?}").to_lowercase(),
+                c.below.j,
+                c.above.j,
+                c.margin,
+                c.margin_se,
+                outcome.motion.p_safe,
+                flown.safe.share,
+                flown.d_f
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Shows nothing and saves nothing.
+struct Quiet;
+
+impl Watch for Quiet {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &Estimate, _: f64) {}
+    fn phase_done(&mut self, _: &str, _: &Progress) -> Result<(), OptimiseError> {
+        Ok(())
+    }
+    fn compared(&mut self, _: &Comparison) {}
+}
+
+/// The progress of the same run, `None` if there is none; one of another run is an error.
+fn read_progress(path: &Path, run: &mut Saved) -> Result<Option<Progress>> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => bail!("reading {}: {error}", path.display()),
+    };
+    let mut found: Saved =
+        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
+    let progress = found.progress.take();
+    if found != *run {
+        bail!(
+            "{}: the unfinished run there has another seed, scenario, config or world model; \
+             run without --resume",
+            path.display()
+        );
+    }
+    Ok(progress)
+}
+
+fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Result<()> {
+    policies.save(&out.join(format!("{name}.safetensors")))?;
+    let path = out.join(format!("{name}.json"));
+    let text = serde_json::to_string_pretty(sheet)? + "\n";
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+}
+
+/// Progress bar, log of the phases, saved progress.
+struct Show {
+    bar: ProgressBar,
+    saved: PathBuf,
+    run: Saved,
+    last: Option<(Estimate, f64)>,
+}
+
+impl Show {
+    fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&Progress>) -> Self {
+        let bar = ProgressBar::new(algorithm1::total_iterations(config) as u64);
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of {duration}  {msg}")
+        {
+            bar.set_style(style);
+        }
+        bar.set_position(begun.map_or(0, |p| p.iterations(config)) as u64);
+        Self { bar, saved, run, last: None }
+    }
+}
+
+impl Watch for Show {
+    fn iteration(&mut self, phase: &str, done: usize, of: usize, e: &Estimate, norm: f64) {
+        self.bar.inc(1);
+        if done.is_multiple_of(25) || done == of {
+            self.bar.set_message(format!(
+                "{phase}: J {:.3}, P_safe {:.3}, P_comm {:.3}",
+                e.j, e.p_safe, e.p_comm
+            ));
+        }
+        self.last = Some((*e, norm));
+        if phase.starts_with("stage 2") && done == of {
+            self.bar.suspend(|| {
+                tracing::info!("{phase}: {done} iterations (cap), |grad| {norm:.2e}, P_comm {:.4}", e.p_comm)
+            });
+        }
+    }
+
+    fn phase_done(&mut self, phase: &str, progress: &Progress) -> Result<(), OptimiseError> {
+        if let Some((e, norm)) = self.last {
+            self.bar.suspend(|| {
+                tracing::info!(
+                    "{phase}: cap reached, J {:.4}, cost {:.4}, P_safe {:.4}, P_comm {:.4}, |grad| {norm:.2e}",
+                    e.j, e.cost, e.p_safe, e.p_comm
+                );
+            });
+        }
+        let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", self.saved.display()));
+        self.run.progress = Some(progress.clone());
+        let text = serde_json::to_string(&self.run).map_err(|e| failed(e.to_string()))?;
+        // Written aside and renamed, so that an interruption leaves the old or the new file whole.
+        let aside = self.saved.with_extension("tmp");
+        std::fs::write(&aside, text).map_err(|e| failed(e.to_string()))?;
+        std::fs::rename(&aside, &self.saved).map_err(|e| failed(e.to_string()))
+    }
+
+    fn compared(&mut self, c: &Comparison) {
+        self.bar.suspend(|| {
+            tracing::info!(
+                "below J {:.4} (P_safe {:.4}, P_comm {:.4}), above J {:.4} (P_safe {:.4}, P_comm {:.4}) \
+                 on {} rollouts: margin {:+.4} +- {:.4}, {}",
+                c.below.j,
+                c.below.p_safe,
+                c.below.p_comm,
+                c.above.j,
+                c.above.p_safe,
+                c.above.p_comm,
+                c.rollouts,
+                c.margin,
+                c.margin_se,
+                if c.chosen == Side::Below { "below it is" } else { "above it is" }
+            );
+        });
+    }
+}

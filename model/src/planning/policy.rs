@@ -1,0 +1,255 @@
+//! CRPL's two policies π_s and π_p, and how they are executed.
+//!
+//! They see the latent state alone: its plane coordinates y_c (now and one interval ago) and y_u.
+//! They know no positions, no bandwidth and no protocol.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use crpl_sitl::units::{Motion, TxPower};
+use nalgebra::Vector2;
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+
+use crate::numeric::kernel;
+use crate::numeric::mlp::{Dense, Mlp};
+
+/// Key of the world model's fingerprint in a policy file's metadata.
+const WORLD: &str = "world_model";
+
+/// Number of inputs of each policy.
+pub const FEATURES: usize = 6;
+
+/// Widths of π_s: two hidden layers of 64, five motions (Sec. IV-A.5).
+pub const MOTION_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 5];
+
+/// Widths of π_p: two hidden layers of 64, two powers.
+pub const POWER_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 2];
+
+/// The policies' view of M = 2 latents: [2 y_c/S, (y_c - y_c')/(S v_max), y_u/2].
+///
+/// `y_c`, `y_c_before` and `y_u` are plane coordinates, `scale` is S (latent units per unit of
+/// length), `v_max` in units per interval.
+#[must_use]
+pub fn features(y_c: [f32; 2], y_c_before: [f32; 2], y_u: [f32; 2], scale: f32, v_max: f32) -> [f32; 6] {
+    let (place, speed) = (2.0 / scale, 1.0 / (scale * v_max));
+    [
+        place * y_c[0],
+        place * y_c[1],
+        speed * (y_c[0] - y_c_before[0]),
+        speed * (y_c[1] - y_c_before[1]),
+        0.5 * y_u[0],
+        0.5 * y_u[1],
+    ]
+}
+
+/// Probabilities of the actions from the network's outputs.
+#[must_use]
+pub fn softmax(logits: &[f32]) -> Vec<f32> {
+    let top = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let weights: Vec<f32> = logits.iter().map(|l| kernel::exp(l - top)).collect();
+    let sum: f32 = weights.iter().sum();
+    weights.into_iter().map(|w| w / sum).collect()
+}
+
+/// π_s and π_p.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Policies {
+    /// π_s: features to the logits of [`Motion::ALL`].
+    pub motion: Mlp,
+    /// π_p: features to the logits of [`TxPower::ALL`].
+    pub power: Mlp,
+    /// Fingerprint of the world model whose latents they read; they mean nothing in another's.
+    pub world: String,
+}
+
+/// Why a policy file could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    /// The file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The bytes are not these two networks.
+    #[error("{path}: {message}")]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+impl Policies {
+    /// Untrained policies: weights N(0, 1/inputs), the last layer a hundredth of that, biases 0,
+    /// but for π_p's last, which leans to low power by ±½.
+    #[must_use]
+    pub fn untrained(rng: &mut impl Rng) -> Self {
+        let mut draw = |widths: &[usize]| {
+            let mut net = Mlp::zeros(widths);
+            let last = net.layers.len() - 1;
+            for (n, layer) in net.layers.iter_mut().enumerate() {
+                let std = (1.0 / layer.inputs as f64).sqrt() * if n == last { 0.01 } else { 1.0 };
+                for w in &mut layer.w {
+                    let z: f64 = StandardNormal.sample(rng);
+                    *w = (std * z) as f32;
+                }
+            }
+            net
+        };
+        let motion = draw(&MOTION_WIDTHS);
+        let mut power = draw(&POWER_WIDTHS);
+        if let Some(last) = power.layers.last_mut() {
+            last.b = vec![0.5, -0.5];
+        }
+        Self { motion, power, world: String::new() }
+    }
+
+    /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
+    pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
+        let (path, bytes) = match scenario {
+            1 => (
+                "pretrained/policy_s1.safetensors",
+                include_bytes!("../../pretrained/policy_s1.safetensors").as_slice(),
+            ),
+            2 => (
+                "pretrained/policy_s2.safetensors",
+                include_bytes!("../../pretrained/policy_s2.safetensors").as_slice(),
+            ),
+            other => {
+                let message = format!("no policy ships for scenario {other}");
+                return Err(PolicyError::Content { path: "pretrained".into(), message });
+            }
+        };
+        Self::from_bytes(bytes).map_err(|message| PolicyError::Content { path: path.into(), message })
+    }
+
+    /// Σ π_s A_s, the relaxed motion.
+    #[must_use]
+    pub fn mean_motion(&self, x: &[f32; FEATURES]) -> Vector2<f64> {
+        let p = softmax(&self.motion.forward(x));
+        Motion::ALL.iter().zip(p).map(|(m, p)| m.vector() * f64::from(p)).sum()
+    }
+
+    /// Σ π_p A_p, the relaxed power.
+    #[must_use]
+    pub fn mean_power(&self, x: &[f32; FEATURES]) -> f64 {
+        let p = softmax(&self.power.forward(x));
+        TxPower::ALL.iter().zip(p).map(|(power, p)| power.level() * f64::from(p)).sum()
+    }
+
+    /// The executed actions: the feasible ones nearest to the relaxed ones.
+    #[must_use]
+    pub fn act(&self, x: &[f32; FEATURES]) -> (Motion, TxPower) {
+        let power = if self.mean_power(x) > 2.5 { TxPower::High } else { TxPower::Low };
+        (Motion::nearest(self.mean_motion(x)), power)
+    }
+
+    /// Writes both networks as `motion.N.weight`, `motion.N.bias`, `power.…` (weights [in, out]).
+    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let mut bytes: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
+        let raw = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        for (name, net) in [("motion", &self.motion), ("power", &self.power)] {
+            for (n, layer) in net.layers.iter().enumerate() {
+                let shape = vec![layer.inputs, layer.outputs];
+                bytes.push((format!("{name}.{n}.weight"), shape, raw(&layer.w)));
+                bytes.push((format!("{name}.{n}.bias"), vec![layer.outputs], raw(&layer.b)));
+            }
+        }
+        let content = |message: String| PolicyError::Content { path: path.into(), message };
+        let views = bytes
+            .iter()
+            .map(|(name, shape, data)| {
+                TensorView::new(Dtype::F32, shape.clone(), data).map(|view| (name.clone(), view))
+            })
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|e| content(e.to_string()))?;
+        let file =
+            safetensors::serialize(views, Some(HashMap::from([(WORLD.to_owned(), self.world.clone())])))
+                .map_err(|e| content(e.to_string()))?;
+        std::fs::write(path, file).map_err(|source| PolicyError::Io { path: path.into(), source })
+    }
+
+    /// Reads what [`Policies::save`] wrote.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let bytes = std::fs::read(path).map_err(|source| PolicyError::Io { path: path.into(), source })?;
+        Self::from_bytes(&bytes).map_err(|message| PolicyError::Content { path: path.into(), message })
+    }
+
+    /// Reads the bytes of a policy file; the error names the tensor and its shape.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
+        let tensor = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
+            let view = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
+            if view.dtype() != Dtype::F32 || view.shape() != shape {
+                return Err(format!(
+                    "tensor `{name}` is {:?} {:?}, expected F32 {shape:?}",
+                    view.dtype(),
+                    view.shape()
+                ));
+            }
+            let floats = view.data().chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]]));
+            let values: Vec<f32> = floats.collect();
+            if values.iter().all(|v| v.is_finite()) {
+                Ok(values)
+            } else {
+                Err(format!("tensor `{name}` has values that are not finite"))
+            }
+        };
+        let net = |name: &str, widths: &[usize]| -> Result<Mlp, String> {
+            let layers = widths.windows(2).enumerate().map(|(n, w)| {
+                Ok(Dense {
+                    inputs: w[0],
+                    outputs: w[1],
+                    w: tensor(&format!("{name}.{n}.weight"), &[w[0], w[1]])?,
+                    b: tensor(&format!("{name}.{n}.bias"), &[w[1]])?,
+                })
+            });
+            Ok(Mlp { layers: layers.collect::<Result<_, String>>()? })
+        };
+        let (_, header) =
+            SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
+        let world = header.metadata().as_ref().and_then(|m| m.get(WORLD)).cloned().unwrap_or_default();
+        Ok(Self { motion: net("motion", &MOTION_WIDTHS)?, power: net("power", &POWER_WIDTHS)?, world })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn a_file_gives_back_the_same_policies() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("policy.safetensors");
+        let policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        policies.save(&path).unwrap();
+        assert_eq!(Policies::load(&path).unwrap(), policies);
+    }
+
+    #[test]
+    fn a_wrong_file_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("policy.safetensors");
+        let mut policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        policies.motion = Mlp::zeros(&[7, 64, 64, 5]);
+        policies.save(&path).unwrap();
+        let error = Policies::load(&path).unwrap_err().to_string();
+        assert!(error.ends_with("tensor `motion.0.weight` is F32 [7, 64], expected F32 [6, 64]"), "{error}");
+        assert!(Policies::load(&dir.path().join("none")).is_err());
+    }
+
+    #[test]
+    fn an_undecided_policy_coasts_at_low_power() {
+        let policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        let (motion, power) = policies.act(&[0.1, -0.3, 0.0, 0.0, 0.2, 0.5]);
+        assert_eq!((motion, power), (Motion::Coast, TxPower::Low));
+    }
+}

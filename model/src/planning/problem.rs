@@ -1,0 +1,228 @@
+//! A scenario seen through the encoder: what Algorithm 1 knows of it. The only place here that draws
+//! pictures.
+
+use crpl_sitl::scenario::Obstacle;
+use crpl_sitl::world::dynamics::limit_speed;
+use crpl_sitl::world::noise::{Noise, Stream};
+use crpl_sitl::{Scenario, camera};
+use nalgebra::Vector2;
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::numeric::kernel::{LANES, Lane, ZERO};
+use crate::planning::algorithm1::{Heads, OptimiseConfig, OptimiseError};
+use crate::planning::objective::{Area, Draws, Exact, Head, Plant, Quantity};
+use crate::world_model::{HeadsAt, WorldModel, checkpoint};
+
+/// What the encoder must provide: plane coordinates of a picture of UAV and obstacle.
+pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
+
+/// A belief to plan from: plane coordinates, each now and one interval ago.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Here {
+    /// y_c
+    pub y_c: [[f32; 2]; 2],
+    /// y_u
+    pub y_u: [[f32; 2]; 2],
+    /// The same of a second obstacle, where there is one.
+    pub second: Option<[[f32; 2]; 2]>,
+}
+
+/// A scenario seen through the encoder: start pairs, obstacle places.
+#[derive(Debug, Clone)]
+pub struct Stage {
+    pub(super) plant: Plant,
+    /// Fingerprint of the world model.
+    pub(super) world: String,
+    /// (y_c at 0, y_c at -1)
+    starts: Vec<([f32; 2], [f32; 2])>,
+    /// y_u where the obstacle stands.
+    pub(super) obstacle: [f32; 2],
+    /// y_u of the displaced obstacles: [below: +y, above: -y][displacement].
+    pub(super) displaced: [Vec<[f32; 2]>; 2],
+    /// kick / a_max
+    wind: f32,
+}
+
+impl Stage {
+    /// The scenario as `world` sees it.
+    pub fn of(
+        world: &WorldModel,
+        scenario: &Scenario,
+        config: &OptimiseConfig,
+        seed: u64,
+    ) -> Result<Self, OptimiseError> {
+        let plant = plant(world, scenario, config)?;
+        let encode = |frame: &camera::Frame| {
+            let latent = world.encode(frame);
+            (world.y_c(&latent), world.y_u(&latent))
+        };
+        let world = checkpoint::fingerprint(world)?;
+        Ok(Self { world, ..Self::new(plant, &encode, scenario, config, seed) })
+    }
+
+    /// Renders and encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
+    /// replaced by the encoded ones.
+    #[must_use]
+    pub fn new(
+        mut plant: Plant,
+        encode: &Encode<'_>,
+        scenario: &Scenario,
+        config: &OptimiseConfig,
+        seed: u64,
+    ) -> Self {
+        let place =
+            |uav: Vector2<f64>, obstacle: Vector2<f64>| encode(&camera::render(uav, obstacle, scenario));
+        let there = scenario.obstacle.position;
+        plant.goal = place(scenario.goal, there).0;
+        plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
+        let corner = |x: f64, y: f64| place(scenario.start, Vector2::new(x, y)).1;
+        let area = |o: &Obstacle| {
+            let (near, far) = (o.margin, 1.0 - o.margin);
+            Area::new(corner(near, near), [corner(far, near), corner(near, far)])
+        };
+        plant.areas = [area(&scenario.obstacle), scenario.second_obstacle.as_ref().and_then(area)];
+        plant.limits = config.limits;
+        let noise = Noise::new(seed);
+        let starts = (0..config.starts as u64)
+            .into_par_iter()
+            .map(|n| {
+                let mut rng = noise.generator(Stream::Start, n);
+                let mut normal = |s: f64| {
+                    let (x, y): (f64, f64) =
+                        (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+                    s * Vector2::new(x, y)
+                };
+                let r = scenario.start + normal(config.start_spread[0]);
+                let v = limit_speed(normal(config.start_spread[1]), scenario.dynamics.v_max);
+                (place(r, there).0, place(r - v, there).0)
+            })
+            .collect();
+        let displaced = [1.0, -1.0].map(|sign| {
+            let shift = |d: &f64| place(scenario.start, there + Vector2::new(0.0, sign * d)).1;
+            config.displacements.iter().map(shift).collect()
+        });
+        Self {
+            obstacle: place(scenario.start, there).1,
+            displaced,
+            starts,
+            wind: (config.kick / scenario.dynamics.a_max) as f32,
+            world: String::new(),
+            plant,
+        }
+    }
+
+    /// The learned world with this scenario's goal.
+    #[must_use]
+    pub fn plant(&self) -> &Plant {
+        &self.plant
+    }
+
+    /// Rollouts that all begin at `here`, gusts by (seed, index).
+    #[must_use]
+    pub fn draws_from(
+        &self,
+        here: &Here,
+        noise: &Noise,
+        index: u64,
+        rollouts: usize,
+        horizon: usize,
+    ) -> Vec<Draws> {
+        let lanes = |y: [f32; 2]| y.map(|v| [v; LANES]);
+        (0..(rollouts / LANES) as u64)
+            .map(|block| {
+                let mut rng = noise.generator(Stream::Batches, (index << 16) | block);
+                let mut lane = || -> Lane {
+                    std::array::from_fn(|_| {
+                        let z: f64 = StandardNormal.sample(&mut rng);
+                        self.wind * z as f32
+                    })
+                };
+                Draws {
+                    start: here.y_c.map(lanes),
+                    obstacle: here.y_u.map(lanes),
+                    second: here.second.map(|y_u| y_u.map(lanes)),
+                    told: Some(self.obstacle),
+                    wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
+                    opening: Vec::new(),
+                }
+            })
+            .collect()
+    }
+
+    /// Common random rollouts number `index`: equal for equal (seed, index), whoever asks.
+    #[must_use]
+    pub fn draws(
+        &self,
+        noise: &Noise,
+        stream: Stream,
+        index: u64,
+        rollouts: usize,
+        y_u: [f32; 2],
+        horizon: usize,
+    ) -> Vec<Draws> {
+        let fixed = [[y_u[0]; LANES], [y_u[1]; LANES]];
+        (0..(rollouts / LANES) as u64)
+            .into_par_iter()
+            .map(|block| {
+                let mut rng = noise.generator(stream, (index << 16) | block);
+                let mut start = [[ZERO; 2]; 2];
+                for l in 0..LANES {
+                    let (now, before) = self.starts[rng.random_range(0..self.starts.len())];
+                    for i in 0..2 {
+                        start[0][i][l] = now[i];
+                        start[1][i][l] = before[i];
+                    }
+                }
+                let mut lane = || -> Lane {
+                    std::array::from_fn(|_| {
+                        let z: f64 = StandardNormal.sample(&mut rng);
+                        self.wind * z as f32
+                    })
+                };
+                let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
+                let obstacle = [fixed, fixed];
+                Draws { start, obstacle, second: None, told: None, wind, opening: Vec::new() }
+            })
+            .collect()
+    }
+}
+
+/// The learned world in plane coordinates; base station and noise power folded into the heads.
+fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
+    let psi = world.reduced();
+    let rows = |m: &nalgebra::Matrix2<f64>| {
+        [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
+    };
+    let (collision, gain) = match config.heads {
+        Heads::Learned => learned_heads(world, scenario)?,
+        Heads::Exact => [Quantity::CollisionLogit, Quantity::LogGain]
+            .map(|quantity| Head::exact(Exact::new(quantity, world.probe, scenario.clone())))
+            .into(),
+    };
+    Ok(Plant {
+        psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
+        psi_u: [rows(&psi.u0), rows(&psi.u1)],
+        scale: world.scale as f32,
+        v_max: scenario.dynamics.v_max as f32,
+        corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
+        areas: [None; 2],
+        limits: config.limits,
+        goal: [0.0; 2],
+        collision,
+        gain,
+    })
+}
+
+/// The world model's heads of risk and gain, the noise power folded in.
+fn learned_heads(world: &WorldModel, scenario: &Scenario) -> Result<(Head, Head), OptimiseError> {
+    let HeadsAt { collision, mut gain, sight } = world.heads_at(scenario.channel.base_station);
+    if let Some(last) = gain.layers.last_mut() {
+        last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
+    }
+    Ok((
+        Head::new(collision, None).ok_or(OptimiseError::Head("collision"))?,
+        Head::new(gain, Some(sight)).ok_or(OptimiseError::Head("gain"))?,
+    ))
+}

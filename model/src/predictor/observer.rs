@@ -1,0 +1,481 @@
+//! The latent observer: place and speed of both halves from the last M pictures and the actions flown
+//! between them.
+//!
+//! Two pictures give a speed that carries both pictures' errors, and a rollout of 100 steps multiplies
+//! it by 100. Here every picture of a window counts: a Kalman filter runs over the window from its
+//! first picture on, so with no disturbance reckoned with (`kick` 0) it is least squares after the
+//! actions' contribution is taken out, and with a large one it leans on the last two pictures. Plane
+//! coordinates throughout. Knows latents and actions; neither pictures nor positions.
+//!
+//! - A missing picture is a step without a measurement.
+//! - The speed limit is part of the prediction: at v_max the linear model alone would run ahead.
+//! - A poor picture (a disc that the frame cuts, a UAV over the obstacle) weighs less.
+//! - A wall or a bounce breaks the model: an innovation that no picture's error explains, or several poor
+//!   pictures in a row, and the window begins anew with the last two.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
+
+use crate::predictor::linear::Reduced;
+
+/// Standard deviation that is reckoned with for a decoded coordinate, units: 0.03 px. Whole discs on empty
+/// ground are three times better; a rim of the obstacle under the UAV is not.
+pub const PICTURE_NOISE: f64 = 3e-4;
+
+/// Missing share of the UAV's colour beyond which the frame's edge cuts its disc; below, the pixels'
+/// rounding.
+const WHOLE: f32 = 2e-3;
+
+/// How many times further off such a picture is, and a row of them is off alike.
+const CUT: f64 = 4.0;
+
+/// Standard deviation of the UAV's coordinates in units of [`PICTURE_NOISE`], from the missing share q of
+/// its colour: a whole disc says more than one that the frame's edge cuts.
+#[must_use]
+pub fn doubt(missing: f32) -> f64 {
+    if missing.abs() > WHOLE { CUT } else { 1.0 }
+}
+
+/// What a picture shows of one half.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// y
+    pub y: Vector2<f64>,
+    /// Its standard deviation in units of [`PICTURE_NOISE`].
+    pub doubt: f64,
+}
+
+impl From<Vector2<f64>> for Seen {
+    fn from(y: Vector2<f64>) -> Self {
+        Self { y, doubt: 1.0 }
+    }
+}
+
+/// Squared Mahalanobis distance beyond which a picture is poor: four standard deviations.
+const POOR: f64 = 16.0;
+
+/// Squared Mahalanobis distance beyond which the window breaks: 25 standard deviations, 0.8 px.
+const BREAK: f64 = 625.0;
+
+/// Missing pictures after which what was seen before is worth nothing.
+const LONGEST_GAP: usize = 50;
+
+/// Poor pictures in a row that break the window.
+const PATIENCE: usize = 3;
+
+/// Variance of a speed of which nothing is known, in units of a picture's.
+const UNKNOWN: f64 = 1e8;
+
+/// How one half moves, in plane coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Ψ_0
+    pub newer: Matrix2<f64>,
+    /// Ψ_1
+    pub older: Matrix2<f64>,
+    /// Ψ_a; zero for the half on which no action works.
+    pub action: Matrix2<f64>,
+    /// Longest step in an interval, latent units; infinite where no limit is known.
+    pub reach: f64,
+    /// Standard deviation of a picture's coordinate, latent units.
+    pub noise: f64,
+    /// Standard deviation of the speed's disturbance in an interval and axis, latent units.
+    pub kick: f64,
+}
+
+impl Motion {
+    /// The controllable half: `scale` S in latent units per unit, `v_max` and `kick` in units per
+    /// interval.
+    #[must_use]
+    pub fn controllable(psi: &Reduced, scale: f64, v_max: f64, kick: f64) -> Self {
+        Self {
+            newer: psi.c0,
+            older: psi.c1,
+            action: psi.ca,
+            reach: scale * v_max,
+            noise: scale * PICTURE_NOISE,
+            kick: scale * kick,
+        }
+    }
+
+    /// The uncontrollable half; `scale` in latent units per unit.
+    #[must_use]
+    pub fn uncontrollable(psi: &Reduced, scale: f64) -> Self {
+        Self {
+            newer: psi.u0,
+            older: psi.u1,
+            action: Matrix2::zeros(),
+            reach: f64::INFINITY,
+            noise: scale * PICTURE_NOISE,
+            kick: 0.0,
+        }
+    }
+
+    /// One step of (y, y - y_before) under an action, and its Jacobian.
+    fn step(&self, state: &Vector4<f64>, a: Vector2<f64>) -> (Vector4<f64>, Matrix4<f64>) {
+        let (y, v) = (state.fixed_rows::<2>(0).into_owned(), state.fixed_rows::<2>(2).into_owned());
+        let mut by_y = self.newer + self.older - Matrix2::identity();
+        let mut by_v = -self.older;
+        let mut step = by_y * y + by_v * v + self.action * a;
+        let length = step.norm();
+        if length > self.reach {
+            // What is left of an error is what lies across the step.
+            let along = step / length;
+            let turn = (Matrix2::identity() - along * along.transpose()) * (self.reach / length);
+            (by_y, by_v) = (turn * by_y, turn * by_v);
+            step = along * self.reach;
+        }
+        let mut jacobian = Matrix4::zeros();
+        jacobian.fixed_view_mut::<2, 2>(0, 0).copy_from(&(Matrix2::identity() + by_y));
+        jacobian.fixed_view_mut::<2, 2>(0, 2).copy_from(&by_v);
+        jacobian.fixed_view_mut::<2, 2>(2, 0).copy_from(&by_y);
+        jacobian.fixed_view_mut::<2, 2>(2, 2).copy_from(&by_v);
+        let next = y + step;
+        (Vector4::new(next.x, next.y, step.x, step.y), jacobian)
+    }
+}
+
+/// Where a half is and how far it moved in the last interval, plane coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// y
+    pub y: Vector2<f64>,
+    /// y_k - y_{k-1}; zero until two pictures have been seen.
+    pub v: Vector2<f64>,
+}
+
+impl Estimate {
+    /// y one interval earlier: the older latent that the predictor reads.
+    #[must_use]
+    pub fn before(&self) -> Vector2<f64> {
+        self.y - self.v
+    }
+}
+
+/// An interval and the picture at its end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Interval {
+    /// Normalised acceleration that was flown in it.
+    flown: Vector2<f64>,
+    /// What the picture shows, if it arrived.
+    seen: Option<Seen>,
+}
+
+/// The window of one half.
+#[derive(Debug, Clone)]
+pub struct Observer {
+    motion: Motion,
+    window: usize,
+    last: VecDeque<Interval>,
+}
+
+impl Observer {
+    /// Nothing seen; at most `window` (at least 2) pictures are kept.
+    #[must_use]
+    pub fn new(motion: Motion, window: usize) -> Self {
+        Self { motion, window: window.max(2), last: VecDeque::new() }
+    }
+
+    /// A picture has come; `flown` are the normalised accelerations of the intervals since the last
+    /// picture, oldest first: one, or more where pictures are missing.
+    pub fn observe(&mut self, seen: impl Into<Seen>, flown: &[Vector2<f64>]) {
+        let (newest, missing) = flown.split_last().map_or((Vector2::zeros(), flown), |(a, rest)| (*a, rest));
+        if missing.len() >= LONGEST_GAP {
+            self.last.clear();
+        } else {
+            self.last.extend(missing.iter().map(|a| Interval { flown: *a, seen: None }));
+        }
+        self.last.push_back(Interval { flown: newest, seen: Some(seen.into()) });
+        while self.last.iter().filter(|i| i.seen.is_some()).count() > self.window {
+            self.last.pop_front();
+        }
+    }
+
+    /// Place and speed at the newest picture; `None` before the first.
+    #[must_use]
+    pub fn estimate(&self) -> Option<Estimate> {
+        // Two pictures and no more are their difference, to the last bit.
+        if let (2, [.., Interval { seen: Some(before), .. }, Interval { seen: Some(now), .. }]) =
+            (self.window, self.last.iter().copied().collect::<Vec<_>>().as_slice())
+        {
+            return Some(Estimate { y: now.y, v: now.y - before.y });
+        }
+        let mut filter: Option<Filter> = None;
+        let mut before: Option<(usize, Seen)> = None;
+        for (k, interval) in self.last.iter().enumerate() {
+            if let Some(filter) = &mut filter {
+                filter.predict(&self.motion, interval.flown);
+            }
+            let Some(seen) = interval.seen else { continue };
+            let fits = filter.as_mut().is_some_and(|f| f.update(seen.y, self.noise(seen)));
+            if !fits {
+                filter = Some(self.anew(before, k, seen));
+            }
+            before = Some((k, seen));
+        }
+        let Estimate { y, v } = filter?.estimate();
+        // No encoded step faster than v_max is real.
+        let v = if v.norm() > self.motion.reach { v * (self.motion.reach / v.norm()) } else { v };
+        Some(Estimate { y, v })
+    }
+
+    /// A filter that knows the picture of interval `k` and the one before it.
+    fn anew(&self, before: Option<(usize, Seen)>, k: usize, seen: Seen) -> Filter {
+        let Some((since, first)) = before else { return Filter::at(seen.y, self.noise(seen)) };
+        let mut filter = Filter::at(first.y, self.noise(first));
+        for interval in self.last.range(since + 1..=k) {
+            filter.predict(&self.motion, interval.flown);
+        }
+        filter.correct(seen.y, self.noise(seen));
+        filter
+    }
+
+    /// Standard deviation of a picture's coordinate, latent units.
+    fn noise(&self, seen: Seen) -> f64 {
+        self.motion.noise * seen.doubt
+    }
+}
+
+/// (y, v) and its covariance.
+#[derive(Debug, Clone, Copy)]
+struct Filter {
+    state: Vector4<f64>,
+    covariance: Matrix4<f64>,
+    /// Whether a second picture has told a speed.
+    moving: bool,
+    /// Poor pictures since the last good one.
+    poor: usize,
+}
+
+impl Filter {
+    /// One picture: a place, no speed.
+    fn at(y: Vector2<f64>, noise: f64) -> Self {
+        let r = noise * noise;
+        let covariance = Matrix4::from_diagonal(&Vector4::new(r, r, UNKNOWN * r, UNKNOWN * r));
+        Self { state: Vector4::new(y.x, y.y, 0.0, 0.0), covariance, moving: false, poor: 0 }
+    }
+
+    fn predict(&mut self, motion: &Motion, a: Vector2<f64>) {
+        let (next, jacobian) = motion.step(&self.state, a);
+        // The kick enters the speed, and with it the place.
+        let entry = Matrix4x2::new(1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0) * motion.kick;
+        self.state = next;
+        self.covariance = jacobian * self.covariance * jacobian.transpose() + entry * entry.transpose();
+    }
+
+    /// Takes in a picture; `false` if what was predicted cannot be true.
+    fn update(&mut self, y: Vector2<f64>, noise: f64) -> bool {
+        let off = y - self.state.fixed_rows::<2>(0);
+        let Some(inverse) = self.spread(noise).try_inverse() else { return false };
+        let distance = off.dot(&(inverse * off));
+        self.poor = if distance > POOR { self.poor + 1 } else { 0 };
+        if distance > BREAK || self.poor >= PATIENCE {
+            return false;
+        }
+        self.correct(y, noise * (distance / POOR).max(1.0).sqrt());
+        true
+    }
+
+    fn spread(&self, noise: f64) -> Matrix2<f64> {
+        self.covariance.fixed_view::<2, 2>(0, 0) + Matrix2::identity() * (noise * noise)
+    }
+
+    fn correct(&mut self, y: Vector2<f64>, noise: f64) {
+        let Some(inverse) = self.spread(noise).try_inverse() else { return };
+        let gain = self.covariance.fixed_columns::<2>(0) * inverse;
+        let off = y - self.state.fixed_rows::<2>(0);
+        self.state += gain * off;
+        // Joseph's form: stays symmetric and positive where the speed was unknown.
+        let mut keep = Matrix4::identity();
+        let mut left = keep.fixed_columns_mut::<2>(0);
+        left -= gain;
+        self.covariance =
+            keep * self.covariance * keep.transpose() + gain * gain.transpose() * (noise * noise);
+        self.moving = true;
+    }
+
+    fn estimate(&self) -> Estimate {
+        let y = self.state.fixed_rows::<2>(0).into_owned();
+        let v = if self.moving { self.state.fixed_rows::<2>(2).into_owned() } else { Vector2::zeros() };
+        Estimate { y, v }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::world::noise::{Noise, Stream};
+    use rand::Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+
+    const SCALE: f64 = 10.0;
+
+    fn motion(kick: f64) -> Motion {
+        let (two, one) = (Matrix2::identity() * 2.0, Matrix2::identity());
+        let ca = Matrix2::new(0.035, 0.001, -0.002, 0.034);
+        let psi = Reduced { c0: two, c1: -one, ca, u0: two, u1: -one };
+        Motion::controllable(&psi, SCALE, 0.04, kick)
+    }
+
+    /// A flight that obeys `motion`: places, and the action flown before each.
+    fn flight(
+        motion: &Motion,
+        steps: usize,
+        kick: f64,
+        rng: &mut impl Rng,
+    ) -> Vec<(Vector2<f64>, Vector2<f64>)> {
+        let mut normal = || -> f64 { StandardNormal.sample(rng) };
+        let mut state = Vector4::new(1.0, -2.0, 0.1, 0.05);
+        let mut out = vec![(Vector2::new(1.0, -2.0), Vector2::zeros())];
+        for k in 0..steps {
+            let a = Vector2::new((k as f64 * 1.3).sin(), (k as f64 * 0.7).cos());
+            let pushed = a + Vector2::new(normal(), normal()) * (kick / 0.0035);
+            state = motion.step(&state, pushed).0;
+            out.push((state.fixed_rows::<2>(0).into_owned(), a));
+        }
+        out
+    }
+
+    fn truth(flight: &[(Vector2<f64>, Vector2<f64>)]) -> Estimate {
+        let [.., before, now] = flight else { unreachable!("a flight has two places") };
+        Estimate { y: now.0, v: now.0 - before.0 }
+    }
+
+    fn apart(a: Estimate, b: Estimate) -> f64 {
+        (a.y - b.y).norm().max((a.v - b.v).norm())
+    }
+
+    #[test]
+    fn without_noise_it_is_exact_for_every_window() {
+        let mut rng = Noise::new(1).generator(Stream::Evaluation, 0);
+        let flight = flight(&motion(0.0), 40, 0.0, &mut rng);
+        for window in [2, 3, 10, 20, 50] {
+            for kick in [0.0, 0.0015] {
+                let mut observer = Observer::new(motion(kick), window);
+                for (y, a) in &flight {
+                    observer.observe(*y, &[*a]);
+                }
+                let off = apart(observer.estimate().unwrap(), truth(&flight));
+                assert!(off < 1e-6, "window {window}, kick {kick}: off by {off}");
+            }
+        }
+    }
+
+    #[test]
+    fn two_pictures_are_the_difference_and_one_stands_still() {
+        let mut observer = Observer::new(motion(0.0), 2);
+        assert_eq!(observer.estimate(), None);
+        observer.observe(Vector2::new(1.0, 2.0), &[]);
+        assert_eq!(observer.estimate(), Some(Estimate { y: Vector2::new(1.0, 2.0), v: Vector2::zeros() }));
+        observer.observe(Vector2::new(1.1, 1.9), &[Vector2::new(1.0, 0.0)]);
+        let found = observer.estimate().unwrap();
+        let wanted = Estimate { y: Vector2::new(1.1, 1.9), v: Vector2::new(0.1, -0.1) };
+        assert!(apart(found, wanted) < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn more_pictures_see_the_speed_better_and_kicks_are_not_averaged_away() {
+        let mut rng = Noise::new(2).generator(Stream::Evaluation, 0);
+        let speed_error = |window: usize, reckoned: f64, kick: f64, rng: &mut _| -> f64 {
+            let squares: Vec<f64> = (0..200)
+                .map(|_| {
+                    let flight = flight(&motion(0.0), 30, kick, rng);
+                    let mut observer = Observer::new(motion(reckoned), window);
+                    for (y, a) in &flight {
+                        let noise = Vector2::new(StandardNormal.sample(rng), StandardNormal.sample(rng));
+                        observer.observe(y + noise * (SCALE * PICTURE_NOISE), &[*a]);
+                    }
+                    (observer.estimate().unwrap().v - truth(&flight).v).norm_squared()
+                })
+                .collect();
+            (squares.iter().sum::<f64>() / 200.0).sqrt() / (SCALE * PICTURE_NOISE)
+        };
+        // Least squares: the speed's variance is 12/(M(M²-1)) of a picture's in each axis, and twice at 2.
+        let (two, twenty) = (speed_error(2, 0.0, 0.0, &mut rng), speed_error(20, 0.0, 0.0, &mut rng));
+        assert!((1.7..2.3).contains(&two), "{two}");
+        let ideal = (24.0f64 / (20.0 * 399.0)).sqrt();
+        assert!((0.8 * ideal..1.3 * ideal).contains(&twenty), "{twenty} instead of {ideal}");
+        // In gusts five times a picture's error, the filter that reckons with them is no worse than two.
+        let (two, kalman) =
+            (speed_error(2, 0.0, 0.0015, &mut rng), speed_error(20, 0.0015, 0.0015, &mut rng));
+        assert!(kalman < 1.02 * two, "{kalman} with 20 pictures, {two} with 2");
+    }
+
+    #[test]
+    fn a_missing_picture_is_bridged_by_the_actions_flown() {
+        let mut rng = Noise::new(3).generator(Stream::Evaluation, 0);
+        let flight = flight(&motion(0.0), 30, 0.0, &mut rng);
+        let mut observer = Observer::new(motion(0.0), 20);
+        let mut pending = Vec::new();
+        for (k, (y, a)) in flight.iter().enumerate() {
+            pending.push(*a);
+            if ![12, 13, 14, 27].contains(&k) {
+                observer.observe(*y, &pending);
+                pending.clear();
+            }
+        }
+        let off = apart(observer.estimate().unwrap(), truth(&flight));
+        assert!(off < 1e-6, "off by {off}");
+        // A gap longer than the window leaves one picture, of which no speed is known.
+        observer.observe(Vector2::new(3.0, 3.0), &[Vector2::zeros(); 100]);
+        assert_eq!(observer.estimate().unwrap().v, Vector2::zeros());
+    }
+
+    #[test]
+    fn the_action_flown_counts_and_not_another() {
+        let mut rng = Noise::new(4).generator(Stream::Evaluation, 0);
+        let flight = flight(&motion(0.0), 25, 0.0, &mut rng);
+        let watch = |told: &dyn Fn(usize) -> Vector2<f64>| {
+            let mut observer = Observer::new(motion(0.0), 20);
+            for (k, (y, _)) in flight.iter().enumerate() {
+                observer.observe(*y, &[told(k)]);
+            }
+            apart(observer.estimate().unwrap(), truth(&flight))
+        };
+        let flown = watch(&|k| flight[k].1);
+        // Told what was sent in an outage of the last four intervals, and not what was held: too little
+        // for the gate to see.
+        let sent = watch(&|k| flight[k].1 + Vector2::new(if k < 21 { 0.0 } else { 0.2 }, 0.0));
+        assert!(flown < 1e-6 && sent > 1e-3, "{flown} and {sent}");
+    }
+
+    #[test]
+    fn one_poor_picture_spoils_nothing() {
+        let mut rng = Noise::new(6).generator(Stream::Evaluation, 0);
+        let flight = flight(&motion(0.0), 25, 0.0, &mut rng);
+        let mut observer = Observer::new(motion(0.0), 20);
+        for (k, (y, a)) in flight.iter().enumerate() {
+            let wrong = if k == 22 { 15.0 * SCALE * PICTURE_NOISE } else { 0.0 };
+            observer.observe(y + Vector2::new(wrong, 0.0), &[*a]);
+        }
+        let off = (observer.estimate().unwrap().v - truth(&flight).v).norm();
+        // Two pictures around it would be wrong by 15 standard deviations.
+        assert!(off < 0.5 * SCALE * PICTURE_NOISE, "off by {off}");
+    }
+
+    #[test]
+    fn at_the_speed_limit_and_after_a_wall_it_is_right() {
+        // Full thrust east: the limit is reached after twelve intervals.
+        let motion = motion(0.0);
+        let mut observer = Observer::new(motion, 20);
+        let mut state = Vector4::new(-4.0, 0.0, 0.0, 0.0);
+        let a = Vector2::new(1.0, 0.0);
+        observer.observe(Vector2::new(-4.0, 0.0), &[]);
+        for k in 0..30 {
+            state = motion.step(&state, a).0;
+            let wobble = SCALE * PICTURE_NOISE * (k as f64 * 2.1).sin();
+            observer.observe(state.fixed_rows::<2>(0) + Vector2::new(wobble, -wobble), &[a]);
+        }
+        let v = observer.estimate().unwrap().v;
+        assert!((v.norm() - motion.reach).abs() < 1e-3, "{v} at the limit {}", motion.reach);
+        // A wall stops it: two pictures later the speed is zero, however long the window.
+        let y = state.fixed_rows::<2>(0).into_owned();
+        for _ in 0..3 {
+            observer.observe(y, &[Vector2::zeros()]);
+        }
+        let found = observer.estimate().unwrap();
+        assert!(found.v.norm() < 3.0 * SCALE * PICTURE_NOISE, "{found:?}");
+    }
+}

@@ -1,0 +1,125 @@
+//! `model ablate` and `model hard`: tables of what each ingredient buys and of where encoders break.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::encoder::module::Backend;
+use crate::evaluation::robustness;
+use crate::training::ablation::{CHANGES, HEAD};
+use crate::training::recipe::without_heads;
+use crate::world_model::WorldModel;
+use crate::world_model::config::TrainConfig;
+use anyhow::Context;
+use crpl_sitl::Scenario;
+use crpl_sitl::world::noise::Noise;
+
+#[derive(Debug, clap::Args)]
+/// Flags of `model ablate`.
+pub struct Ablate {
+    /// The recipe that is changed (TOML).
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Seed; overrides the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// burn's backend.
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
+    /// Pictures of each kind that a row is measured on.
+    #[arg(long, default_value_t = 2000)]
+    frames: usize,
+    /// Only the rows whose name contains this.
+    #[arg(long)]
+    only: Option<String>,
+    /// Print the rows as JSON, one a line.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+/// Flags of `model hard`.
+pub struct Hard {
+    /// A configuration to train without risk and channel heads (TOML), or the folder of a checkpoint;
+    /// can be given several times. Without any: the shipped model.
+    #[arg(value_name = "CONFIG|CHECKPOINT")]
+    models: Vec<PathBuf>,
+    /// Seed of the pictures.
+    #[arg(long, default_value_t = 1000)]
+    seed: u64,
+    /// Pictures or flights a case.
+    #[arg(long, default_value_t = 2000)]
+    frames: usize,
+    /// burn's backend, for training.
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
+    /// Print the tables as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `model ablate`.
+pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
+    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
+    let changes: Vec<_> = CHANGES.iter().filter(|change| wanted(change.name)).collect();
+    if changes.is_empty() {
+        let only = args.only.as_deref().unwrap_or_default();
+        anyhow::bail!("--only {only}: no row's name contains it");
+    }
+    let mut out = std::io::stdout().lock();
+    if !args.json {
+        write!(out, "{HEAD}")?;
+    }
+    for change in changes {
+        let row = change.run(&config, args.backend, args.frames)?;
+        if args.json {
+            writeln!(out, "{}", serde_json::to_string(&row)?)?;
+        } else {
+            write!(out, "{}", row.line())?;
+        }
+        out.flush()?;
+    }
+    Ok(())
+}
+
+/// Runs `model hard`.
+pub fn hard(args: &Hard) -> anyhow::Result<()> {
+    let (scenario, noise) = (Scenario::default(), Noise::new(args.seed));
+    let mut models = Vec::new();
+    for path in &args.models {
+        let name = path.file_stem().unwrap_or(path.as_os_str()).display().to_string();
+        models.push((name, load_or_train(path, args.backend)?));
+    }
+    if models.is_empty() {
+        models.push(("shipped".into(), WorldModel::embedded()?));
+    }
+    let tables: Vec<_> = models
+        .iter()
+        .map(|(_, model)| robustness::hard_table(model, args.frames, &scenario, &noise))
+        .collect();
+    let names: Vec<&str> = models.iter().map(|(name, _)| name.as_str()).collect();
+    if args.json {
+        let all: Vec<_> = names
+            .iter()
+            .zip(&tables)
+            .map(|(name, hard)| serde_json::json!({ "model": name, "hard": hard }))
+            .collect();
+        println!("{:#}", serde_json::Value::from(all));
+    } else {
+        print!("{}", robustness::table(&names, &tables));
+    }
+    Ok(())
+}
+
+fn load_or_train(path: &Path, backend: Backend) -> anyhow::Result<WorldModel> {
+    if path.is_dir() {
+        return Ok(WorldModel::load(path)?);
+    }
+    let config = TrainConfig::load(path)?;
+    let (model, figures) =
+        without_heads(&config, backend).with_context(|| format!("training {}", path.display()))?;
+    for alarm in figures.alarms(&config.alarms) {
+        tracing::warn!("{}: {alarm}", path.display());
+    }
+    Ok(model)
+}

@@ -1,0 +1,162 @@
+//! Finished stages of a training run on disk, so that a run that was stopped goes on where it was.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use crate::encoder::infer::{Encoder, Features};
+use crate::encoder::weights::{FEATURES, Weights};
+use crate::training::closed_form::{Check, Triples};
+use crate::training::fit::{Setting, targets};
+use crate::training::recipe::TrainError;
+use crate::world_model::checkpoint::{self, CheckpointError, Reader, Writer};
+use crate::world_model::dataset::Triple;
+
+/// The folder of finished stages, or none: then everything is made anew and nothing is written.
+#[derive(Debug)]
+pub struct Kept {
+    dir: Option<PathBuf>,
+}
+
+impl Kept {
+    /// Keeps nothing.
+    #[must_use]
+    pub fn nothing() -> Self {
+        Self { dir: None }
+    }
+
+    /// Begins anew in `dir`, or goes on with the run there if it is `identity`'s.
+    pub fn open(dir: PathBuf, identity: &str, resume: bool) -> Result<Self, TrainError> {
+        let failed = |source| CheckpointError::File { path: dir.clone(), source };
+        let marker = dir.join("run.json");
+        if resume && dir.exists() {
+            if std::fs::read_to_string(&marker).map_err(failed)? != identity {
+                return Err(TrainError::Resume(dir));
+            }
+        } else {
+            if dir.exists() {
+                std::fs::remove_dir_all(&dir).map_err(failed)?;
+            }
+            std::fs::create_dir_all(&dir).map_err(failed)?;
+            checkpoint::write_all(&marker, identity.as_bytes())?;
+        }
+        Ok(Self { dir: Some(dir) })
+    }
+
+    /// Where a stage may leave its progress.
+    #[must_use]
+    pub fn dir(&self) -> Option<&Path> {
+        self.dir.as_deref()
+    }
+
+    /// Reads the stage if it is finished, else makes and writes it; then it is read all the same, so
+    /// that a resumed run sees exactly what an unbroken one does.
+    pub fn keep<T>(
+        &self,
+        name: &str,
+        load: impl Fn(&Path) -> Result<T, CheckpointError>,
+        make: impl FnOnce() -> Result<T, TrainError>,
+        save: impl Fn(&T, &Path) -> Result<(), CheckpointError>,
+    ) -> Result<T, TrainError> {
+        let Some(home) = &self.dir else { return make() };
+        let dir = home.join(name);
+        if !dir.exists() {
+            let started = Instant::now();
+            let made = make()?;
+            // Finished when it has its name.
+            let beside = home.join(format!("{name}.part"));
+            let failed = |source| CheckpointError::File { path: beside.clone(), source };
+            std::fs::create_dir_all(&beside).map_err(failed)?;
+            save(&made, &beside)?;
+            std::fs::rename(&beside, &dir).map_err(failed)?;
+            tracing::info!(seconds = started.elapsed().as_secs_f32(), "stage {name} done");
+        }
+        Ok(load(&dir)?)
+    }
+
+    /// Everything is in the checkpoint now.
+    pub fn remove(self) -> Result<(), CheckpointError> {
+        let Some(dir) = self.dir else { return Ok(()) };
+        std::fs::remove_dir_all(&dir).map_err(|source| CheckpointError::File { path: dir, source })
+    }
+}
+
+/// Reads one file of a stage.
+pub fn read<T>(
+    dir: &Path,
+    name: &str,
+    parse: impl Fn(&Reader<'_>) -> Result<T, CheckpointError>,
+) -> Result<T, CheckpointError> {
+    let path = dir.join(name);
+    let bytes =
+        std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
+    parse(&Reader::new(&bytes, path)?)
+}
+
+/// Writes both sets' features.
+pub fn save_features(sets: &[Triples; 2], dir: &Path) -> Result<(), CheckpointError> {
+    let mut out = Writer::default();
+    for (name, features) in NAMES.iter().zip(sets.iter().flat_map(|s| &s.features)) {
+        out.f32(&format!("{name}.h"), &[features.len(), FEATURES], features.iter().flat_map(|f| f.h.clone()));
+        out.f32(&format!("{name}.q"), &[features.len(), 3], features.iter().flat_map(|f| f.missing));
+    }
+    checkpoint::write_all(&dir.join("features.safetensors"), &out.bytes()?)
+}
+
+/// Reads what [`save_features`] wrote of these triples.
+pub fn load_features(
+    dir: &Path,
+    setting: &Setting<'_>,
+    picks: &[Vec<Triple>; 2],
+) -> Result<[Triples; 2], CheckpointError> {
+    read(dir, "features.safetensors", |from| {
+        let one = |name: &str, count: usize| -> Result<Vec<Features>, CheckpointError> {
+            let h = from.f32(&format!("{name}.h"), &[count, FEATURES])?;
+            let q = from.f32(&format!("{name}.q"), &[count, 3])?;
+            let rows = h.chunks_exact(FEATURES).zip(q.chunks_exact(3));
+            Ok(rows.map(|(h, q)| Features { h: h.to_vec(), missing: [q[0], q[1], q[2]] }).collect())
+        };
+        let set = |n: usize| -> Result<Triples, CheckpointError> {
+            let (names, triples) = (&NAMES[3 * n..], &picks[n]);
+            let count = triples.len();
+            let features = [one(names[0], count)?, one(names[1], count)?, one(names[2], count)?];
+            Ok(Triples { features, targets: targets(setting, triples) })
+        };
+        Ok([set(0)?, set(1)?])
+    })
+}
+
+const NAMES: [&str; 6] = ["long.0", "long.1", "long.2", "short.0", "short.1", "short.2"];
+
+/// Writes the weights of a stage.
+pub fn save_weights(weights: &Weights, dir: &Path) -> Result<(), CheckpointError> {
+    let mut out = Writer::default();
+    checkpoint::put_weights(&mut out, weights);
+    checkpoint::write_all(&dir.join("weights.safetensors"), &out.bytes()?)
+}
+
+/// Reads what [`save_weights`] wrote.
+pub fn load_weights(dir: &Path) -> Result<Weights, CheckpointError> {
+    read(dir, "weights.safetensors", checkpoint::get_weights)
+}
+
+/// Writes an encoder and what its fit says of itself.
+pub fn save_encoder((encoder, check): &(Encoder, Option<Check>), dir: &Path) -> Result<(), CheckpointError> {
+    let mut out = Writer::default();
+    checkpoint::put_weights(&mut out, encoder.weights());
+    let numbers: Vec<f64> =
+        check.iter().flat_map(|c| [c.residual_c_px].into_iter().chain(c.eigenvalues)).collect();
+    out.f64("check", &[numbers.len()], numbers);
+    checkpoint::write_all(&dir.join("encoder.safetensors"), &out.bytes()?)
+}
+
+/// Reads what [`save_encoder`] wrote.
+pub fn load_encoder(dir: &Path) -> Result<(Encoder, Option<Check>), CheckpointError> {
+    read(dir, "encoder.safetensors", |from| {
+        let encoder = Encoder::new(checkpoint::get_weights(from)?);
+        if from.shape("check")? == [0] {
+            return Ok((encoder, None));
+        }
+        let v = from.f64("check", &[5])?;
+        Ok((encoder, Some(Check { residual_c_px: v[0], eigenvalues: [v[1], v[2], v[3], v[4]] })))
+    })
+}

@@ -1,0 +1,24 @@
+//! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
+//!
+//! All but `closed_form`, `lens`, `stages` and `predictors` need burn: the cargo feature `train`.
+
+#[cfg(feature = "train")]
+pub mod ablation;
+#[cfg(feature = "train")]
+pub mod ablation_command;
+#[cfg(feature = "train")]
+pub mod cache;
+pub mod closed_form;
+#[cfg(feature = "train")]
+pub mod fit;
+#[cfg(feature = "train")]
+pub mod gradient;
+#[cfg(feature = "train")]
+pub mod heads;
+pub mod lens;
+#[cfg(feature = "train")]
+pub mod losses;
+pub mod predictors;
+#[cfg(feature = "train")]
+pub mod recipe;
+pub mod stages;

@@ -1,0 +1,492 @@
+//! The table "our message, theirs". Knows MAVLink's fields, units and axes; no socket, no physics.
+//!
+//! | ours | theirs | from | fields |
+//! |---|---|---|---|
+//! | `Telemetry` position, velocity | LOCAL_POSITION_NED | 1 | x, vx north; y, vy east; z, vz down |
+//! | `Telemetry::held` | POSITION_TARGET_LOCAL_NED | 1 | afx north, afy east, m/s²; `time_boot_ms` is *that command's*; mask 3135, or 0x0FFF before the first delivery |
+//! | `Telemetry::obstacle` | DEBUG_VECT `OBSTACLE` | 1 | x north, y east, z radius, m |
+//! | `Telemetry::second_obstacle` | DEBUG_VECT `OBSTACLE_2`, where there is one | 1 | as `OBSTACLE`, before it |
+//! | `LinkReport` (from tick 1 on) | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 68 | dB; 1 or 4; 0 or 1 |
+//! | `LinkReport` for any station | RADIO_STATUS | 68 | rssi = 127 + 2 · SNR in dB, within 0..=254 |
+//! | `Percept::frame` | image protocol, see [`super::image`] | 1 | PNG |
+//! | `Command::power` | COMMAND_LONG 31010 (MAV_CMD_USER_1) to 68 | station | param1 = 1 or 4, param2 = time stamp or 0 |
+//! | `Command::accel` | SET_POSITION_TARGET_LOCAL_NED | station | frame 1, mask 3135, afx north, afy east, m/s² |
+//!
+//! All time stamps are [`Clock::boot_ms`] of a tick. The messages of a telemetry report travel in
+//! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
+//! of the LOCAL_POSITION_NED, for its own stamp names another tick.
+
+use mavlink::MessageData;
+
+use super::decoder::Packet;
+use super::dialect::{self, MavFrame, PositionTargetTypemask};
+use super::encoder::Encoder;
+use super::{AUTOPILOT, RADIO};
+use crate::radio::message::{Command, Held, LinkReport, Telemetry};
+use crate::scenario::{Obstacle, Scenario};
+use crate::units::{Tick, TxPower};
+
+/// MAV_CMD_USER_1, here: transmit power of the station's radio.
+pub const CMD_TX_POWER: u16 = 31010;
+
+/// Tick 0 on the vehicle's clock, ms: it booted a second before. So a stamp of 0, which stations
+/// without the vehicle's clock send, is never a tick's.
+const BOOT_MS: u32 = 1000;
+
+/// type_mask of an acceleration setpoint: position, velocity, yaw and yaw rate ignored.
+const MASK_ACCEL: u16 = 3135;
+/// type_mask of no setpoint at all.
+const MASK_NOTHING: u16 = 0x0FFF;
+const MASK_IGNORES_ACCEL: u16 = 64 | 128 | 256;
+const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
+const MASK_FORCE: u16 = 512;
+
+/// Names of the obstacles' DEBUG_VECTs.
+const OBSTACLE: &str = "OBSTACLE";
+const SECOND_OBSTACLE: &str = "OBSTACLE_2";
+
+const FRAME_LOCAL_NED: u8 = 1;
+/// GLOBAL_RELATIVE_ALT and its old integer twin.
+const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
+/// GLOBAL and GLOBAL_RELATIVE_ALT, and their old integer twins.
+const FRAMES_GLOBAL: [u8; 4] = [0, 3, 5, 6];
+
+/// Ticks as milliseconds since the vehicle booted, and the constants that its messages carry.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Clock {
+    interval_s: f64,
+    obstacle_radius_m: f32,
+    second_obstacle_radius_m: Option<f32>,
+}
+
+impl Clock {
+    /// The clock of a flight.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        let scale = &scenario.scale;
+        let radius_m = |obstacle: &Obstacle| (obstacle.radius * scale.metres_per_unit) as f32;
+        Self {
+            interval_s: scale.interval_s,
+            obstacle_radius_m: radius_m(&scenario.obstacle),
+            second_obstacle_radius_m: scenario.second_obstacle.as_ref().map(radius_m),
+        }
+    }
+
+    /// `time_boot_ms` of a tick.
+    #[must_use]
+    pub fn boot_ms(&self, tick: Tick) -> u32 {
+        tick.to_boot_ms(self.interval_s).wrapping_add(BOOT_MS)
+    }
+
+    /// The tick with this `time_boot_ms`, or `None` if it is no tick's.
+    #[must_use]
+    pub fn tick(&self, boot_ms: u32) -> Option<Tick> {
+        boot_ms.checked_sub(BOOT_MS).and_then(|ms| Tick::from_boot_ms(ms, self.interval_s))
+    }
+
+    /// Length of a control interval, seconds.
+    #[must_use]
+    pub fn interval_s(&self) -> f64 {
+        self.interval_s
+    }
+}
+
+/// Appends a report: autopilot's messages, then from tick 1 on the radio's. `vertical` is z and vz of
+/// the local frame, down, m and m/s.
+pub fn push_telemetry(
+    report: &Telemetry,
+    clock: &Clock,
+    vertical: [f32; 2],
+    autopilot: &mut Encoder,
+    radio: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
+    push_position(report, clock, vertical, autopilot, datagram);
+    push_held(report, clock, autopilot, datagram);
+    push_obstacles(report, clock, autopilot, datagram);
+    if let Some(link) = report.link {
+        push_link_values(&link, clock.boot_ms(report.tick), radio, datagram);
+        push_radio_status(&link, radio, datagram);
+    }
+}
+
+/// Appends LOCAL_POSITION_NED; `z` and `vz` down.
+pub fn push_position(
+    report: &Telemetry,
+    clock: &Clock,
+    [z, vz]: [f32; 2],
+    autopilot: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
+    let ([x, y], [vx, vy]) = (report.position, report.velocity);
+    let time_boot_ms = clock.boot_ms(report.tick);
+    let position = dialect::LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
+    autopilot.push(datagram, &position);
+}
+
+/// Appends POSITION_TARGET_LOCAL_NED.
+pub fn push_held(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let (stamp, [afx, afy], mask) = match report.held {
+        Some(held) => (clock.boot_ms(held.tick), held.accel, MASK_ACCEL),
+        None => (clock.boot_ms(report.tick), [0.0; 2], MASK_NOTHING),
+    };
+    let target = dialect::POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: stamp,
+        afx,
+        afy,
+        type_mask: PositionTargetTypemask::from_bits_retain(mask),
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    autopilot.push(datagram, &target);
+}
+
+/// Appends DEBUG_VECT `OBSTACLE`, and before it `OBSTACLE_2` where there is a second one: the first
+/// report of a flight ends with `OBSTACLE`.
+pub fn push_obstacles(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
+    let time_usec = u64::from(clock.boot_ms(report.tick)) * 1000;
+    let mut push = |[x, y]: [f32; 2], z: f32, name: &str| {
+        autopilot.push(datagram, &dialect::DEBUG_VECT_DATA { time_usec, x, y, z, name: name.into() });
+    };
+    if let Some((place, radius)) = report.second_obstacle.zip(clock.second_obstacle_radius_m) {
+        push(place, radius, SECOND_OBSTACLE);
+    }
+    push(report.obstacle, clock.obstacle_radius_m, OBSTACLE);
+}
+
+/// Appends NAMED_VALUE_FLOAT `SNR_DB`, `TXP` and `OUTAGE`.
+pub fn push_link_values(link: &LinkReport, time_boot_ms: u32, radio: &mut Encoder, datagram: &mut Vec<u8>) {
+    let values = [
+        ("SNR_DB", link.snr_db),
+        ("TXP", link.power.level() as f32),
+        ("OUTAGE", f32::from(u8::from(link.outage))),
+    ];
+    for (name, value) in values {
+        radio.push(datagram, &dialect::NAMED_VALUE_FLOAT_DATA { time_boot_ms, value, name: name.into() });
+    }
+}
+
+/// Appends RADIO_STATUS.
+pub fn push_radio_status(link: &LinkReport, radio: &mut Encoder, datagram: &mut Vec<u8>) {
+    // 255 is "unknown" in the standard.
+    let status = dialect::RADIO_STATUS_DATA {
+        rssi: (127.0 + 2.0 * link.snr_db).round().clamp(0.0, 254.0) as u8,
+        remrssi: 255,
+        txbuf: 100,
+        noise: 255,
+        remnoise: 255,
+        ..Default::default()
+    };
+    radio.push(datagram, &status);
+}
+
+/// Puts the messages of a report together again.
+#[derive(Debug, Clone, Default)]
+pub struct TelemetryReader {
+    open: Option<Open>,
+    malformed: u64,
+}
+
+/// A report of which some messages have come.
+#[derive(Debug, Clone)]
+struct Open {
+    system: u8,
+    sequence: u8,
+    boot_ms: u32,
+    tick: Tick,
+    position: [f32; 2],
+    velocity: [f32; 2],
+    held: Option<Option<Held>>,
+    obstacle: Option<[f32; 2]>,
+    second_obstacle: Option<[f32; 2]>,
+    snr_db: Option<f32>,
+    power: Option<TxPower>,
+    outage: Option<bool>,
+}
+
+impl TelemetryReader {
+    /// Takes a packet of the vehicle; hands out a report when its last message has come.
+    pub fn push(&mut self, packet: &Packet, clock: &Clock) -> Option<Telemetry> {
+        let known = match packet.id {
+            dialect::LOCAL_POSITION_NED_DATA::ID => {
+                self.open = Open::begin(packet, clock);
+                self.open.is_some()
+            }
+            dialect::POSITION_TARGET_LOCAL_NED_DATA::ID
+            | dialect::DEBUG_VECT_DATA::ID
+            | dialect::NAMED_VALUE_FLOAT_DATA::ID => {
+                let open = self.open.as_mut().filter(|open| open.system == packet.system)?;
+                open.add(packet, clock).is_some()
+            }
+            _ => return None,
+        };
+        if !known {
+            self.malformed += 1;
+            self.open = None;
+        }
+        let report = self.open.as_ref()?.complete()?;
+        self.open = None;
+        Some(report)
+    }
+
+    /// Messages that did not fit: another flight's clock, a value that is not finite.
+    #[must_use]
+    pub fn malformed(&self) -> u64 {
+        self.malformed
+    }
+}
+
+impl Open {
+    fn begin(packet: &Packet, clock: &Clock) -> Option<Self> {
+        let fields = packet.fields();
+        let boot_ms = fields.u32(0);
+        Some(Self {
+            system: packet.system,
+            sequence: packet.sequence,
+            boot_ms,
+            tick: clock.tick(boot_ms)?,
+            position: finite([fields.f32(4), fields.f32(8)])?,
+            velocity: finite([fields.f32(16), fields.f32(20)])?,
+            held: None,
+            obstacle: None,
+            second_obstacle: None,
+            snr_db: None,
+            power: None,
+            outage: None,
+        })
+    }
+
+    /// `None` if the message does not belong to this report.
+    fn add(&mut self, packet: &Packet, clock: &Clock) -> Option<()> {
+        let fields = packet.fields();
+        match packet.id {
+            dialect::POSITION_TARGET_LOCAL_NED_DATA::ID => {
+                if packet.sequence != self.sequence.wrapping_add(1) {
+                    return None;
+                }
+                let held = if fields.u16(48) & MASK_IGNORES_ACCEL == 0 {
+                    let accel = finite([fields.f32(28), fields.f32(32)])?;
+                    Some(Held { tick: clock.tick(fields.u32(0))?, accel })
+                } else {
+                    None
+                };
+                self.held = Some(held);
+            }
+            dialect::DEBUG_VECT_DATA::ID => {
+                let name = fields.text(20, 10);
+                let slot = match name.as_str() {
+                    OBSTACLE => &mut self.obstacle,
+                    SECOND_OBSTACLE => &mut self.second_obstacle,
+                    _ => return Some(()),
+                };
+                if fields.u64(0) != u64::from(self.boot_ms) * 1000 {
+                    return None;
+                }
+                *slot = Some(finite([fields.f32(8), fields.f32(12)])?);
+                // A vehicle with another number of obstacles flies another scenario.
+                if name == OBSTACLE
+                    && self.second_obstacle.is_some() != clock.second_obstacle_radius_m.is_some()
+                {
+                    return None;
+                }
+            }
+            dialect::NAMED_VALUE_FLOAT_DATA::ID => {
+                let (stamp, value) = (fields.u32(0), fields.f32(4));
+                let slot = fields.text(8, 10);
+                if !matches!(slot.as_str(), "SNR_DB" | "TXP" | "OUTAGE") {
+                    return Some(());
+                }
+                if stamp != self.boot_ms || !value.is_finite() {
+                    return None;
+                }
+                match slot.as_str() {
+                    "SNR_DB" => self.snr_db = Some(value),
+                    "TXP" => self.power = Some(TxPower::from_level(value).ok()?),
+                    _ => self.outage = Some(value != 0.0),
+                }
+            }
+            _ => {}
+        }
+        Some(())
+    }
+
+    fn complete(&self) -> Option<Telemetry> {
+        let link = match (self.snr_db, self.power, self.outage) {
+            (Some(snr_db), Some(power), Some(outage)) => Some(LinkReport { snr_db, power, outage }),
+            _ if self.tick == Tick(0) => None,
+            _ => return None,
+        };
+        Some(Telemetry {
+            tick: self.tick,
+            position: self.position,
+            velocity: self.velocity,
+            obstacle: self.obstacle?,
+            second_obstacle: self.second_obstacle,
+            held: self.held?,
+            link,
+        })
+    }
+}
+
+fn finite<const N: usize>(values: [f32; N]) -> Option<[f32; N]> {
+    values.iter().all(|value| value.is_finite()).then_some(values)
+}
+
+/// Appends a command: power first, so that it is set when the setpoint arrives, wherever a stream is
+/// cut.
+pub fn push_command(
+    command: &Command,
+    clock: &Clock,
+    system: u8,
+    station: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
+    let power = dialect::COMMAND_LONG_DATA {
+        param1: command.power.level() as f32,
+        param2: clock.boot_ms(command.tick) as f32,
+        command: dialect::MavCmd::MAV_CMD_USER_1,
+        target_system: system,
+        target_component: RADIO,
+        ..Default::default()
+    };
+    station.push(datagram, &power);
+    push_setpoint(command.tick, command.accel, clock, system, station, datagram);
+}
+
+/// Appends a setpoint alone.
+pub fn push_setpoint(
+    tick: Tick,
+    accel: [f32; 2],
+    clock: &Clock,
+    system: u8,
+    station: &mut Encoder,
+    datagram: &mut Vec<u8>,
+) {
+    let setpoint = dialect::SET_POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: clock.boot_ms(tick),
+        afx: accel[0],
+        afy: accel[1],
+        type_mask: PositionTargetTypemask::from_bits_retain(MASK_ACCEL),
+        target_system: system,
+        target_component: AUTOPILOT,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    station.push(datagram, &setpoint);
+}
+
+/// System and component to which a message is addressed; 0 is all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Target {
+    /// System id.
+    pub system: u8,
+    /// Component id.
+    pub component: u8,
+}
+
+impl Target {
+    /// Whether a component is meant.
+    #[must_use]
+    pub fn is(self, system: u8, component: u8) -> bool {
+        (self.system == 0 || self.system == system) && (self.component == 0 || self.component == component)
+    }
+}
+
+/// An acceleration that a station asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setpoint {
+    /// Its `time_boot_ms`, the station's or ours.
+    pub stamp_ms: u32,
+    /// North, east, m/s².
+    pub accel: [f32; 2],
+}
+
+/// Why a setpoint is not flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
+pub enum Refusal {
+    /// Another coordinate frame.
+    #[error("setpoint refused: only frame LOCAL_NED (1)")]
+    Frame,
+    /// Not acceleration alone, in all three axes.
+    #[error("setpoint refused: acceleration only, mask 3135")]
+    NotAcceleration,
+    /// Force in place of acceleration.
+    #[error("setpoint refused: force bit set, mask 3135")]
+    Force,
+    /// A field that matters is infinite or not a number.
+    #[error("setpoint refused: not finite")]
+    NotFinite,
+}
+
+/// The setpoint in a SET_POSITION_TARGET_LOCAL_NED. The vehicle is planar: afz must be there and
+/// finite and is not flown. Yaw is not flown either, and what the mask ignores is not read.
+#[must_use]
+pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>)> {
+    if !packet.is::<dialect::SET_POSITION_TARGET_LOCAL_NED_DATA>() {
+        return None;
+    }
+    let fields = packet.fields();
+    let mask = fields.u16(48);
+    let accel = [fields.f32(28), fields.f32(32), fields.f32(36)];
+    let result = if fields.u8(52) != FRAME_LOCAL_NED {
+        Err(Refusal::Frame)
+    } else if mask & MASK_FORCE != 0 {
+        Err(Refusal::Force)
+    } else if mask & MASK_IGNORES_ACCEL != 0
+        || mask & MASK_IGNORES_POSITION_AND_VELOCITY != MASK_IGNORES_POSITION_AND_VELOCITY
+    {
+        Err(Refusal::NotAcceleration)
+    } else if finite(accel).is_none() {
+        Err(Refusal::NotFinite)
+    } else {
+        Ok(Setpoint { stamp_ms: fields.u32(0), accel: [accel[0], accel[1]] })
+    };
+    Some((Target { system: fields.u8(50), component: fields.u8(51) }, result))
+}
+
+/// A COMMAND_LONG or COMMAND_INT, read from its bytes: the dialect refuses commands it has no name
+/// for, and a vehicle must answer those too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ask {
+    /// MAV_CMD.
+    pub command: u16,
+    /// param1 to param4.
+    pub params: [f32; 4],
+    /// param5 and param6, or x and y, as latitude and longitude in degrees; `None` unless both are
+    /// there, in a frame of the globe, and a place on it.
+    pub place: Option<[f64; 2]>,
+    /// param7 or z as a height above home, m; not a number if a COMMAND_INT has it in a frame of
+    /// another origin.
+    pub height: f32,
+    /// To whom.
+    pub target: Target,
+}
+
+/// The command in a packet.
+#[must_use]
+pub fn ask_of(packet: &Packet) -> Option<Ask> {
+    // Both have params at 0, param5 or x at 16, param7 or z at 24, command at 28, target at 30 and 31.
+    let is_int = packet.is::<dialect::COMMAND_INT_DATA>();
+    if !packet.is::<dialect::COMMAND_LONG_DATA>() && !is_int {
+        return None;
+    }
+    let fields = packet.fields();
+    let frame = fields.u8(32);
+    let place = if is_int {
+        let degrees = [16, 20].map(|at| f64::from(fields.u32(at) as i32) / 1e7);
+        FRAMES_GLOBAL.contains(&frame).then_some(degrees)
+    } else {
+        Some([16, 20].map(|at| f64::from(fields.f32(at))))
+    };
+    let above_home = !is_int || FRAMES_RELATIVE_ALT.contains(&frame);
+    Some(Ask {
+        command: fields.u16(28),
+        params: [0, 4, 8, 12].map(|at| fields.f32(at)),
+        place: place.filter(|[latitude, longitude]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0),
+        height: if above_home { fields.f32(24) } else { f32::NAN },
+        target: Target { system: fields.u8(30), component: fields.u8(31) },
+    })
+}
+
+#[cfg(test)]
+mod tests;

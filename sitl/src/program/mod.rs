@@ -1,0 +1,16 @@
+//! The shells: flags, sockets, timers, logs. All that a state machine must not know.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`cli`] | flags to a running vehicle |
+//! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
+//! | [`shell`] | sockets and timers: lockstep and real time |
+//! | [`timing`] | how late intervals begin, and the processor's time |
+
+pub mod cli;
+pub mod fleet;
+mod revision;
+pub mod shell;
+pub mod timing;
+
+pub use revision::revision;

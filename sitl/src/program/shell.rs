@@ -1,0 +1,338 @@
+//! Sockets and timers around one or more [`Vehicle`]s. The two paces differ only in who calls `advance`.
+//!
+//! - lockstep: the arrival of the setpoint for this tick. While it is missing, the percept is sent
+//!   again, so a lost datagram delays a flight and changes nothing.
+//! - real time: a timer, from the first setpoint on. Only here the vehicle has streams by itself; in
+//!   lockstep it sends beside the percept what somebody asked for, and that changes no flight.
+//!
+//! Knows nothing of what a datagram means.
+
+use std::net::SocketAddr;
+use std::time::{Duration, SystemTime};
+
+use tokio::net::UdpSocket;
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
+
+use crate::link::links::{Arrival, BUFFER, Links};
+use crate::link::signing::{Signing, Store};
+use crate::program::timing::Histogram;
+use crate::vehicle::Vehicle;
+
+/// First pause before something is sent again.
+const RESEND_FIRST: Duration = Duration::from_millis(20);
+/// Longest pause before something is sent again: 5 Hz keeps the setpoint time-outs of autopilots away.
+const RESEND_LAST: Duration = Duration::from_millis(200);
+/// How long the last percept waits for its acknowledgement.
+const LINGER: Duration = Duration::from_secs(3);
+/// Heartbeats, on the wall's clock whatever the pace.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// Datagrams that are handled before timers and sending have their turn.
+const BATCH: usize = 64;
+
+/// Why a flight has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// After its last tick; whether a station has confirmed the last percept.
+    Over {
+        /// Whether it has.
+        acknowledged: bool,
+    },
+    /// By Ctrl-C.
+    Interrupted,
+}
+
+/// A pause that doubles each time, and the instant at which it ends.
+#[derive(Debug, Clone, Copy)]
+pub struct Backoff {
+    pause: Duration,
+    ends: Instant,
+}
+
+impl Default for Backoff {
+    fn default() -> Self {
+        Self { pause: RESEND_FIRST, ends: Instant::now() + RESEND_FIRST }
+    }
+}
+
+impl Backoff {
+    /// Returns when the pause is over, at once if it is over already.
+    pub async fn elapsed(&self) {
+        sleep_until(self.ends).await;
+    }
+
+    /// The next pause, twice as long up to a limit.
+    pub fn lengthen(&mut self) {
+        self.pause = (self.pause * 2).min(RESEND_LAST);
+        self.ends = Instant::now() + self.pause;
+    }
+}
+
+/// Vehicles behind their endpoints.
+#[derive(Debug)]
+pub struct Shell {
+    links: Links,
+    vehicles: Vec<Vehicle>,
+    start: Instant,
+    buffer: Vec<u8>,
+    lateness: Histogram,
+    /// Where each vehicle keeps its key, if they do.
+    stores: Vec<Store>,
+}
+
+impl Shell {
+    /// Puts a vehicle on a socket; `peer` is spoken to first, if given.
+    #[must_use]
+    pub fn new(socket: UdpSocket, vehicle: Vehicle, peer: Option<SocketAddr>) -> Self {
+        Self::over(Links::of_socket(socket, peer), vec![vehicle])
+    }
+
+    /// Puts vehicles, of which there must be one at least, behind endpoints that they share.
+    #[must_use]
+    pub fn over(links: Links, mut vehicles: Vec<Vehicle>) -> Self {
+        assert!(!vehicles.is_empty(), "somebody must fly");
+        for vehicle in &mut vehicles {
+            // A clock before 1970 is no clock, and the vehicle then says that it has none.
+            vehicle.set_epoch(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).ok());
+            for peer in links.fixed() {
+                vehicle.add_peer(peer, Duration::ZERO);
+            }
+        }
+        let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
+        Self { links, vehicles, start: Instant::now(), buffer, lateness, stores: Vec::new() }
+    }
+
+    /// Gives the vehicles their keys, in their order, and keeps keys and timestamps in files.
+    pub fn keep_signing(&mut self, keys: impl IntoIterator<Item = (Signing, Store)>) {
+        for (vehicle, (signing, store)) in self.vehicles.iter_mut().zip(keys) {
+            vehicle.set_signing(signing);
+            self.stores.push(store);
+        }
+    }
+
+    /// What each endpoint does, for a person.
+    #[must_use]
+    pub fn describe(&self) -> Vec<String> {
+        self.links.describe()
+    }
+
+    /// The first vehicle.
+    #[must_use]
+    pub fn vehicle(&self) -> &Vehicle {
+        &self.vehicles[0]
+    }
+
+    /// All vehicles.
+    #[must_use]
+    pub fn vehicles(&self) -> &[Vehicle] {
+        &self.vehicles
+    }
+
+    /// How late each control interval began, in real time.
+    #[must_use]
+    pub fn lateness(&self) -> &Histogram {
+        &self.lateness
+    }
+
+    /// Flies in lockstep with the station.
+    pub async fn lockstep(&mut self) -> Ended {
+        let mut beat = interval(HEARTBEAT);
+        let mut resend = Backoff::default();
+        let mut last = None;
+        loop {
+            self.flush().await;
+            if let Some(ended) = self.ended(&mut last) {
+                return ended;
+            }
+            let streams = self.next_stream();
+            tokio::select! {
+                arrival = self.links.receive(&mut self.buffer) => {
+                    self.arrived(arrival);
+                    let now = self.start.elapsed();
+                    for vehicle in self.vehicles.iter_mut().filter(|vehicle| vehicle.ready()) {
+                        vehicle.advance(now);
+                        resend = Backoff::default();
+                    }
+                }
+                () = resend.elapsed() => {
+                    self.vehicles.iter_mut().for_each(Vehicle::send_percept);
+                    resend.lengthen();
+                }
+                () = until(streams) => self.stream(),
+                _ = beat.tick() => self.beat(),
+                _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
+            }
+        }
+    }
+
+    /// Flies by the clock, one control interval each `period`.
+    pub async fn real_time(&mut self, period: Duration) -> Ended {
+        let now = self.start.elapsed();
+        self.vehicles.iter_mut().for_each(|vehicle| vehicle.start_streams(period, now));
+        let mut beat = interval(HEARTBEAT);
+        let mut timer = interval(period);
+        timer.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut last = None;
+        loop {
+            self.flush().await;
+            if let Some(ended) = self.ended(&mut last) {
+                return ended;
+            }
+            let streams = self.next_stream();
+            tokio::select! {
+                arrival = self.links.receive(&mut self.buffer) => self.arrived(arrival),
+                due = timer.tick() => self.interval(due),
+                () = until(streams) => self.stream(),
+                _ = beat.tick() => self.beat(),
+                _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
+            }
+        }
+    }
+
+    /// A control interval, which should have begun at `due`.
+    fn interval(&mut self, due: Instant) {
+        for vehicle in &mut self.vehicles {
+            if vehicle.begun() && !vehicle.over() {
+                self.lateness.add(due.elapsed());
+                vehicle.advance(self.start.elapsed());
+            } else {
+                vehicle.send_percept();
+            }
+        }
+    }
+
+    /// Hands what has come to the vehicles, and what else is there already.
+    fn arrived(&mut self, first: Arrival) {
+        let mut next = Some(first);
+        for _ in 0..BATCH {
+            let Some(arrival) = next else { return };
+            let now = self.start.elapsed();
+            for vehicle in &mut self.vehicles {
+                match arrival {
+                    Arrival::Bytes(from, length) => vehicle.datagram(&self.buffer[..length], from, now),
+                    Arrival::Connected(peer) => vehicle.connected(peer, now),
+                    Arrival::Closed(peer) => vehicle.closed(peer),
+                }
+            }
+            next = self.links.try_receive(&mut self.buffer);
+        }
+        if let Some(Arrival::Bytes(from, length)) = next {
+            let now = self.start.elapsed();
+            self.vehicles.iter_mut().for_each(|vehicle| vehicle.datagram(&self.buffer[..length], from, now));
+        }
+    }
+
+    fn stream(&mut self) {
+        let now = self.start.elapsed();
+        self.vehicles.iter_mut().for_each(|vehicle| vehicle.stream(now));
+    }
+
+    fn beat(&mut self) {
+        self.vehicles.iter_mut().for_each(Vehicle::beat);
+        self.save_signing(false);
+    }
+
+    /// Writes keys and timestamps that have changed to their files, if there are any; all at the `end`.
+    pub fn save_signing(&mut self, end: bool) {
+        for (vehicle, store) in self.vehicles.iter_mut().zip(&self.stores) {
+            let signing = vehicle.signing_mut();
+            if (signing.take_changed() || end)
+                && let Err(error) = store.save(signing, end)
+            {
+                tracing::warn!("{error}");
+            }
+        }
+    }
+
+    /// Whether all flights are over and need not wait for their acknowledgement any longer; `last` is
+    /// the end of that wait, once it has begun.
+    fn ended(&self, last: &mut Option<Instant>) -> Option<Ended> {
+        if !self.vehicles.iter().all(Vehicle::over) {
+            return None;
+        }
+        let acknowledged = self.vehicles.iter().all(Vehicle::acknowledged);
+        let patience = *last.get_or_insert_with(|| Instant::now() + LINGER);
+        (acknowledged || Instant::now() >= patience).then_some(Ended::Over { acknowledged })
+    }
+
+    /// When the next stream has something to send.
+    fn next_stream(&self) -> Option<Instant> {
+        self.vehicles.iter().filter_map(Vehicle::next_stream).min().map(|due| self.start + due)
+    }
+
+    async fn flush(&mut self) {
+        for vehicle in &mut self.vehicles {
+            while let Some((to, bytes)) = vehicle.poll() {
+                self.links.send(to, &bytes).await;
+            }
+        }
+    }
+}
+
+/// Returns at that instant, or never.
+async fn until(instant: Option<Instant>) {
+    match instant {
+        Some(instant) => sleep_until(instant).await,
+        None => std::future::pending().await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpStream;
+
+    use super::*;
+    use crate::link::decoder::{Decoder, Packet};
+    use crate::link::dialect;
+    use crate::link::encoder::Encoder;
+    use crate::{Scenario, Sim};
+
+    fn question(system: u8) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        let ask = dialect::TIMESYNC_DATA { ts1: 7, target_system: system, ..Default::default() };
+        Encoder::new(255, 190).push(&mut datagram, &ask);
+        datagram
+    }
+
+    /// The systems that have answered, once one has.
+    fn answers(packets: &[Packet]) -> Vec<u8> {
+        packets.iter().filter(|p| p.is::<dialect::TIMESYNC_DATA>()).map(|p| p.system).collect()
+    }
+
+    #[tokio::test]
+    async fn vehicles_that_share_endpoints_answer_for_themselves_by_udp_and_tcp() {
+        let endpoints = ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"].map(|text| text.parse().unwrap());
+        let links = Links::open(&endpoints).await.unwrap();
+        let vehicles = [1, 2].map(|system| Vehicle::new(Sim::new(Scenario::default(), 1), system, None));
+        let mut shell = Shell::over(links, vehicles.into());
+        let told: Vec<SocketAddr> =
+            shell.describe().iter().map(|line| line.split_once(':').unwrap().1.parse().unwrap()).collect();
+        let flight = tokio::spawn(async move { shell.real_time(Duration::from_millis(50)).await });
+
+        let patience = Duration::from_secs(30);
+        let (mut buffer, mut decoder) = (vec![0; BUFFER], Decoder::default());
+        let udp = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        udp.send_to(&question(2), told[0]).await.unwrap();
+        let found = loop {
+            let length = tokio::time::timeout(patience, udp.recv(&mut buffer)).await.unwrap().unwrap();
+            let found = answers(&decoder.datagram(&buffer[..length]));
+            if !found.is_empty() {
+                break found;
+            }
+        };
+        assert_eq!(found, [2]);
+
+        let mut tcp = TcpStream::connect(told[1]).await.unwrap();
+        tcp.write_all(&question(1)).await.unwrap();
+        let mut decoder = Decoder::of_stream();
+        let found = loop {
+            let length = tokio::time::timeout(patience, tcp.read(&mut buffer)).await.unwrap().unwrap();
+            let found = answers(&decoder.datagram(&buffer[..length]));
+            if !found.is_empty() {
+                break found;
+            }
+        };
+        assert_eq!(found, [1]);
+        flight.abort();
+    }
+}

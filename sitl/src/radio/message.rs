@@ -1,0 +1,88 @@
+//! What crosses the link, without bytes: commands down to the vehicle, percepts up to the station.
+//!
+//! Every number has the width that it has on the wire (f32, NED, SI units), so a flight in process
+//! and a flight over UDP see the same values to the last bit.
+
+use std::sync::Arc;
+
+use crate::camera::Frame;
+use crate::units::{Scale, Tick, TxPower};
+use crate::world::obstacles::Obstacles;
+
+/// What the station asks of the vehicle and of its own transmitter for one control interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    /// The interval for which it was computed.
+    pub tick: Tick,
+    /// Acceleration north, east, m/s².
+    pub accel: [f32; 2],
+    /// Transmit power of the base station.
+    pub power: TxPower,
+}
+
+impl Command {
+    /// The vehicle flies `accel`, m/s², from interval `tick` on, until a newer command gets through.
+    #[must_use]
+    pub fn new(tick: Tick, accel: [f32; 2], power: TxPower) -> Self {
+        Self { tick, accel, power }
+    }
+}
+
+/// The command that the vehicle is flying.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Held {
+    /// Tick of that command.
+    pub tick: Tick,
+    /// Its acceleration north, east, m/s², as it was sent.
+    pub accel: [f32; 2],
+}
+
+/// What the radio measured in the interval that just ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LinkReport {
+    /// Received SNR γ, dB.
+    pub snr_db: f32,
+    /// Transmit power in that interval.
+    pub power: TxPower,
+    /// Whether the rate was too low for a packet, R Δt < L.
+    pub outage: bool,
+}
+
+/// The vehicle's own report: what a reactive controller may see, and what the metrics are made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Telemetry {
+    /// The tick that begins now.
+    pub tick: Tick,
+    /// North, east, m.
+    pub position: [f32; 2],
+    /// North, east, m/s.
+    pub velocity: [f32; 2],
+    /// Obstacle's north, east, m.
+    pub obstacle: [f32; 2],
+    /// The second one's, in a scenario that has one.
+    pub second_obstacle: Option<[f32; 2]>,
+    /// What the vehicle flew in the interval that just ended; `None` before the first delivery.
+    pub held: Option<Held>,
+    /// The radio in the interval that just ended; `None` at tick 0.
+    pub link: Option<LinkReport>,
+}
+
+impl Telemetry {
+    /// Where the obstacles are, paper units.
+    #[must_use]
+    pub fn obstacles(&self, scale: &Scale) -> Obstacles {
+        Obstacles {
+            first: scale.paper_from_ned(self.obstacle),
+            second: self.second_obstacle.map(|place| scale.paper_from_ned(place)),
+        }
+    }
+}
+
+/// Everything that the vehicle sends at the start of a control interval.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Percept {
+    /// The numbers.
+    pub telemetry: Telemetry,
+    /// The picture.
+    pub frame: Arc<Frame>,
+}

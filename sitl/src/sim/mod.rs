@@ -1,0 +1,217 @@
+//! The vehicle in its world behind its radio: a state machine that knows no clock and no socket.
+//!
+//! Whoever calls [`Sim::advance`] chooses the pace: a loop, "the command for this tick is here", or
+//! a timer. Equal seeds and equal commands give equal bytes.
+
+pub mod record;
+
+use std::sync::Arc;
+
+use nalgebra::Vector2;
+
+use crate::camera::{self, Frame};
+use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
+use crate::radio::{Fates, Gate};
+use crate::scenario::Scenario;
+use crate::units::{Tick, TxPower};
+use crate::world::World;
+use crate::world::dynamics::State;
+use crate::world::noise::{Noise, Stream};
+
+/// Who flies the UAV in an interval.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Control {
+    /// The station: the held command.
+    #[default]
+    Station,
+    /// The vehicle itself: a normalised acceleration, within ±1 on each axis.
+    Onboard(Vector2<f64>),
+    /// Nobody: it stands on the ground.
+    Parked,
+}
+
+/// A flight in progress.
+#[derive(Debug, Clone)]
+pub struct Sim {
+    scenario: Scenario,
+    world: World,
+    gate: Gate,
+    noise: Noise,
+    tick: Tick,
+    link: Option<LinkReport>,
+    control: Control,
+}
+
+impl Sim {
+    /// A flight at tick 0. `scenario` must have passed [`Scenario::check`].
+    #[must_use]
+    pub fn new(scenario: Scenario, seed: u64) -> Self {
+        Self {
+            world: World::new(&scenario),
+            gate: Gate::default(),
+            noise: Noise::new(seed),
+            tick: Tick::default(),
+            link: None,
+            control: Control::default(),
+            scenario,
+        }
+    }
+
+    /// The tick that begins now.
+    #[must_use]
+    pub fn tick(&self) -> Tick {
+        self.tick
+    }
+
+    /// The flight's parameters.
+    #[must_use]
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
+    }
+
+    /// Ground truth, for tests and metrics; no controller may see it.
+    #[must_use]
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// What became of the commands so far.
+    #[must_use]
+    pub fn fates(&self) -> Fates {
+        self.gate.fates()
+    }
+
+    /// Power of the base station's transmitter.
+    #[must_use]
+    pub fn power(&self) -> TxPower {
+        self.gate.power()
+    }
+
+    /// Sets the transmitter's power alone.
+    pub fn set_power(&mut self, power: TxPower) {
+        self.gate.set_power(power);
+    }
+
+    /// A command has reached the transmitter.
+    pub fn handle(&mut self, command: Command) {
+        self.gate.submit(command);
+    }
+
+    /// Forgets the command that is held and the one that waits.
+    pub fn release(&mut self) {
+        self.gate.release();
+    }
+
+    /// Says who flies from the next [`Sim::step`] on.
+    pub fn set_control(&mut self, control: Control) {
+        self.control = control;
+    }
+
+    /// One control interval passes: the packet gets through or not, then the UAV moves.
+    pub fn advance(&mut self) {
+        self.transmit();
+        self.step();
+    }
+
+    /// The first half of an interval: the packet gets through or not.
+    pub fn transmit(&mut self) {
+        let snr = self.world.snr(self.gate.power(), &self.scenario);
+        self.link = Some(self.gate.transmit(self.tick, snr, &self.scenario.radio));
+    }
+
+    /// The second half: the UAV moves, as [`Sim::set_control`] says.
+    pub fn step(&mut self) {
+        let kick = self.scenario.disturbance.kick() * self.noise.normal(Stream::Wind, self.tick);
+        let parked = (self.control == Control::Parked).then_some(self.world.uav.r);
+        self.world.step(self.flown(), kick, &self.scenario);
+        if let Some(place) = parked {
+            self.world.uav = State::at_rest(place);
+        }
+        self.tick = self.tick.next();
+    }
+
+    /// The normalised acceleration that the vehicle flies, within ±1 on each axis: the held one, or
+    /// its own.
+    #[must_use]
+    pub fn flown(&self) -> Vector2<f64> {
+        let wish = match (self.control, self.gate.held()) {
+            (Control::Station, Some(held)) => {
+                let a = self.scenario.scale.paper_from_ned_acceleration(held.accel);
+                a / self.scenario.dynamics.a_max
+            }
+            (Control::Onboard(a), _) => a,
+            (Control::Station, None) | (Control::Parked, _) => Vector2::zeros(),
+        };
+        wish.map(|x| x.clamp(-1.0, 1.0))
+    }
+
+    /// The vehicle's report at the start of this tick. Asking twice gives the same.
+    #[must_use]
+    pub fn telemetry(&self) -> Telemetry {
+        let scale = &self.scenario.scale;
+        Telemetry {
+            tick: self.tick,
+            position: scale.ned_from_paper(self.world.uav.r),
+            velocity: scale.ned_from_paper_velocity(self.world.uav.v),
+            obstacle: scale.ned_from_paper(self.world.obstacle.r),
+            second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
+            held: self.gate.held().filter(|_| self.control == Control::Station),
+            link: self.link,
+        }
+    }
+
+    /// The picture at the start of this tick.
+    #[must_use]
+    pub fn frame(&self) -> Frame {
+        camera::picture(&self.world, &self.scenario)
+    }
+
+    /// Report and picture together.
+    #[must_use]
+    pub fn percept(&self) -> Percept {
+        Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::Motion;
+
+    fn fly(seed: u64, ticks: u64) -> Sim {
+        let mut scenario = Scenario::default();
+        scenario.disturbance.sigma_c = 0.005;
+        scenario.radio.b_dt = 2.5;
+        let mut sim = Sim::new(scenario, seed);
+        for k in 0..ticks {
+            let motion = Motion::ALL[(k % 5) as usize];
+            let accel = sim
+                .scenario()
+                .scale
+                .ned_from_paper_acceleration(motion.vector() * sim.scenario().dynamics.a_max);
+            sim.handle(Command::new(Tick(k), accel, TxPower::Low));
+            sim.advance();
+        }
+        sim
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_flights() {
+        assert_eq!(fly(3, 60).percept(), fly(3, 60).percept());
+        assert_ne!(fly(3, 60).telemetry().position, fly(4, 60).telemetry().position);
+    }
+
+    #[test]
+    fn full_acceleration_survives_the_wire_width() {
+        let sim = fly(1, 2);
+        assert!((sim.flown() - Motion::East.vector()).norm() < 1e-7);
+    }
+
+    #[test]
+    fn a_wish_beyond_the_limit_is_flown_at_the_limit() {
+        let mut sim = Sim::new(Scenario::default(), 0);
+        sim.handle(Command::new(Tick(0), [1000.0, -1000.0], TxPower::Low));
+        sim.advance();
+        assert_eq!(sim.flown(), Vector2::new(-1.0, 1.0));
+    }
+}

@@ -1,0 +1,518 @@
+//! The simulated vehicle as MAVLink peers see it: an autopilot (component 1) and its radio (68).
+//!
+//! A state machine around [`Sim`]: datagrams go in, datagrams come out, the caller says when a
+//! control interval passes and what time it is. Knows no socket and no clock. It begins in GUIDED mode,
+//! armed and in the air, with ArduCopter's mode numbers.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | `commands` | what is answered: setpoints, commands, image requests |
+//! | `battery`, `geodesy`, `height` | energy spent; where on Earth, how tilted; up and down |
+//! | `failsafe` | silence, counted in control intervals, and what follows it |
+//! | `files` | that there are none |
+//! | `guidance` | braking, and going to a point |
+//! | `messages` | every message that can be asked for, one row each |
+//! | `meter` | traffic, for LINK_NODE_STATUS |
+//! | `missions`, `plan` | the mission protocol; a mission as it is flown |
+//! | `modes` | mode, arming, takeoff, landing, who flies an interval |
+//! | `params` | the parameter tables of both components |
+//! | `rates` | SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, REQUEST_DATA_STREAM |
+//! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
+//!
+//! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
+//! peer that has spoken; pictures to those that asked for them by the image protocol.
+
+#![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
+
+mod battery;
+mod commands;
+mod failsafe;
+mod files;
+pub mod geodesy;
+mod guidance;
+mod height;
+mod messages;
+mod meter;
+mod missions;
+mod modes;
+mod params;
+mod plan;
+mod rates;
+mod streams;
+#[cfg(test)]
+mod tests;
+
+pub use params::ParamError;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use crate::link::decoder::{Counts, Decoder, Packet};
+use crate::link::dialect::{self, MavSeverity};
+use crate::link::encoder::Encoder;
+use crate::link::sequence::{Heard, Sequence};
+use crate::link::signing::{self, Origin, Rejection, Signing};
+use crate::link::wire::{Clock, Refusal, Target};
+use crate::link::{AUTOPILOT, PeerId, RADIO};
+use crate::scenario::Scenario;
+use crate::sim::Sim;
+use crate::units::Tick;
+use battery::Battery;
+use failsafe::Watch;
+use height::Height;
+use meter::Meter;
+use missions::Upload;
+use modes::Conduct;
+use plan::Plan;
+use rates::Rates;
+
+/// Peers that are served at a time; the one silent for longest makes room for a new one.
+const MAX_PEERS: usize = 16;
+/// Systems and components behind one peer whose sequence numbers are followed.
+const MAX_SENDERS: usize = 32;
+/// Least time between two texts of one kind.
+const TEXT_PAUSE: Duration = Duration::from_secs(1);
+
+/// A vehicle in flight.
+#[derive(Debug)]
+pub struct Vehicle {
+    sim: Sim,
+    clock: Clock,
+    system: u8,
+    ticks: Option<u64>,
+    /// The scenario with what was set since: what the vehicle itself goes by.
+    settings: Scenario,
+    conduct: Conduct,
+    height: Height,
+    watch: Watch,
+    plan: Plan,
+    upload: Option<Upload>,
+    battery: Battery,
+    peers: BTreeMap<PeerId, Peer>,
+    outbox: VecDeque<(PeerId, Vec<u8>)>,
+    /// Datagrams of the outbox that are signed already.
+    signed: VecDeque<(PeerId, Vec<u8>)>,
+    signing: Signing,
+    meter: Meter,
+    /// Memory for the packets of a datagram.
+    scratch: Vec<Packet>,
+    /// The newest `now`.
+    now: Duration,
+    /// `now` at the last control interval.
+    advanced: Duration,
+    /// This tick's picture, once somebody wanted it.
+    png: Option<Vec<u8>>,
+    /// How often this tick's percept has been sent to all.
+    sendings: usize,
+    begun: bool,
+    ready: bool,
+    acknowledged: bool,
+    /// Newest time stamp of a power command, boot ms.
+    newest_power: Option<f32>,
+    said: BTreeMap<&'static str, Duration>,
+    /// The control interval on the wall's clock; `None` in lockstep.
+    period: Option<Duration>,
+    /// Default rates that were changed, Hz by message.
+    default_hz: BTreeMap<u32, f64>,
+    /// Since 1970 when `now` was zero, if anybody knows.
+    epoch: Option<Duration>,
+    tally: Tally,
+}
+
+/// What the vehicle made of the messages addressed to it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Tally {
+    /// Frames, and what was none.
+    pub packets: Counts,
+    /// Setpoints taken.
+    pub setpoints: u64,
+    /// Setpoints older than the newest one: late or repeated.
+    pub stale: u64,
+    /// Good setpoints that came in another mode than GUIDED.
+    pub ignored: u64,
+    /// Setpoints not taken.
+    pub refused: BTreeMap<Refusal, u64>,
+    /// Commands that it does not know.
+    pub unsupported: u64,
+    /// Frames with a right signature.
+    pub signed: u64,
+    /// Frames refused for their signature, or for having none.
+    pub unsigned: BTreeMap<Rejection, u64>,
+}
+
+impl Tally {
+    /// The sum of both.
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
+        self.packets = self.packets.plus(other.packets);
+        self.setpoints += other.setpoints;
+        self.stale += other.stale;
+        self.ignored += other.ignored;
+        self.unsupported += other.unsupported;
+        self.signed += other.signed;
+        for (&refusal, count) in &other.refused {
+            *self.refused.entry(refusal).or_default() += count;
+        }
+        for (&rejection, count) in &other.unsigned {
+            *self.unsigned.entry(rejection).or_default() += count;
+        }
+        self
+    }
+}
+
+impl std::fmt::Display for Tally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} setpoints, {} stale, {} in other modes", self.setpoints, self.stale, self.ignored)?;
+        for (refusal, count) in &self.refused {
+            write!(f, ", {count} x {refusal}")?;
+        }
+        write!(f, "; {} unsupported commands; {}", self.unsupported, self.packets)?;
+        if self.signed > 0 || !self.unsigned.is_empty() {
+            write!(f, "; {} signed", self.signed)?;
+        }
+        for (rejection, count) in &self.unsigned {
+            write!(f, ", {count} refused: {rejection}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Somebody to talk to.
+#[derive(Debug)]
+struct Peer {
+    decoder: Decoder,
+    autopilot: Encoder,
+    radio: Encoder,
+    /// Pictures: with each so many control intervals.
+    images: Option<u64>,
+    rates: Rates,
+    /// Named by configuration: never makes room for others.
+    fixed: bool,
+    heard: Duration,
+    /// The sequence numbers of each system and component.
+    sequences: Vec<((u8, u8), Sequence)>,
+}
+
+impl Peer {
+    fn new(system: u8, now: Duration) -> Self {
+        Self {
+            decoder: Decoder::default(),
+            autopilot: Encoder::new(system, AUTOPILOT),
+            radio: Encoder::new(system, RADIO),
+            images: None,
+            rates: Rates::default(),
+            fixed: false,
+            heard: now,
+            sequences: Vec::new(),
+        }
+    }
+}
+
+impl Peer {
+    /// What the number of a frame tells.
+    fn number(&mut self, packet: &Packet) -> Heard {
+        let from = (packet.system, packet.component);
+        if let Some((_, known)) = self.sequences.iter_mut().find(|(sender, _)| *sender == from) {
+            return known.next(packet.sequence);
+        }
+        let mut sequence = Sequence::default();
+        let heard = sequence.next(packet.sequence);
+        if self.sequences.len() < MAX_SENDERS {
+            self.sequences.push((from, sequence));
+        }
+        heard
+    }
+
+    /// The component that speaks to this peer: the radio, else the autopilot.
+    fn encoder(&mut self, component: u8) -> &mut Encoder {
+        if component == RADIO { &mut self.radio } else { &mut self.autopilot }
+    }
+}
+
+impl Vehicle {
+    /// A vehicle with this system id whose flight ends after `ticks` intervals, if given.
+    #[must_use]
+    pub fn new(sim: Sim, system: u8, ticks: Option<u64>) -> Self {
+        Self {
+            clock: Clock::new(sim.scenario()),
+            settings: sim.scenario().clone(),
+            conduct: Conduct::flying(),
+            height: Height::hovering(sim.scenario().scale.altitude_m),
+            watch: Watch::default(),
+            plan: Plan::default(),
+            upload: None,
+            sim,
+            system,
+            ticks,
+            battery: Battery::default(),
+            peers: BTreeMap::new(),
+            outbox: VecDeque::new(),
+            signed: VecDeque::new(),
+            signing: Signing::default(),
+            meter: Meter::default(),
+            scratch: Vec::new(),
+            now: Duration::ZERO,
+            advanced: Duration::ZERO,
+            png: None,
+            sendings: 0,
+            begun: false,
+            ready: false,
+            acknowledged: false,
+            newest_power: None,
+            said: BTreeMap::new(),
+            period: None,
+            default_hz: BTreeMap::new(),
+            epoch: None,
+            tally: Tally::default(),
+        }
+    }
+
+    /// Tells the time since 1970 at which `now` was zero; without it SYSTEM_TIME says 0, unknown.
+    pub fn set_epoch(&mut self, epoch: Option<Duration>) {
+        self.epoch = epoch;
+    }
+
+    /// Sets key, policy and timestamps of signing.
+    pub fn set_signing(&mut self, signing: Signing) {
+        self.signing = signing;
+    }
+
+    /// Key, policy and timestamps of signing.
+    pub fn signing_mut(&mut self) -> &mut Signing {
+        &mut self.signing
+    }
+
+    /// A peer that is spoken to before it has spoken.
+    pub fn add_peer(&mut self, address: impl Into<PeerId>, now: Duration) {
+        let peer = Peer { fixed: true, ..Peer::new(self.system, now) };
+        self.introduce(address.into(), peer, now);
+    }
+
+    /// A stream has begun: its peer is spoken to at once, and is gone with it.
+    pub fn connected(&mut self, address: PeerId, now: Duration) {
+        let peer = Peer { fixed: true, decoder: Decoder::of_stream(), ..Peer::new(self.system, now) };
+        self.introduce(address, peer, now);
+    }
+
+    /// A stream has ended.
+    pub fn closed(&mut self, address: PeerId) {
+        self.forget(address);
+    }
+
+    fn introduce(&mut self, address: PeerId, peer: Peer, now: Duration) {
+        self.peers.insert(address, peer);
+        self.set_default_rates(address, now);
+        self.greet(address);
+    }
+
+    /// A datagram has arrived, or a part of a stream.
+    pub fn datagram(&mut self, bytes: &[u8], from: impl Into<PeerId>, now: Duration) {
+        let from = from.into();
+        self.now = now;
+        self.meter.received(bytes);
+        let Some(peer) = self.peers.get_mut(&from) else { return self.stranger(bytes, from, now) };
+        peer.heard = now;
+        let mut packets = std::mem::take(&mut self.scratch);
+        peer.decoder.datagram_into(bytes, &mut packets);
+        tracing::trace!(%from, "{}", peer.decoder.counts());
+        packets.iter().for_each(|packet| self.meter.numbered(peer.number(packet)));
+        let stamp = self.stamp();
+        for packet in &packets {
+            if let Ok(origin) = self.signing.check(packet, stamp) {
+                self.take(packet, origin, from, now);
+            }
+        }
+        packets.clear();
+        self.scratch = packets;
+    }
+
+    /// A datagram of somebody who has not been heard before.
+    fn stranger(&mut self, bytes: &[u8], from: PeerId, now: Duration) {
+        let mut peer = Peer::new(self.system, now);
+        let stamp = self.stamp();
+        let packets = peer.decoder.datagram(bytes).into_iter();
+        let packets: Vec<(Packet, Origin)> = packets
+            .filter_map(|packet| self.signing.check(&packet, stamp).ok().map(|origin| (packet, origin)))
+            .collect();
+        // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
+        // hears MAVLink 2.
+        let begins = peer.decoder.counts().mavlink1 > 0 && !self.signing.is_required();
+        if packets.is_empty() && !begins {
+            self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
+            return;
+        }
+        for (packet, _) in &packets {
+            self.meter.numbered(peer.number(packet));
+        }
+        self.make_room();
+        self.introduce(from, peer, now);
+        self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
+        for (packet, origin) in &packets {
+            self.take(packet, *origin, from, now);
+        }
+    }
+
+    /// A frame that signing has nothing against.
+    fn take(&mut self, packet: &Packet, origin: Origin, from: PeerId, now: Duration) {
+        if packet.is::<dialect::SETUP_SIGNING_DATA>() {
+            self.setup_signing(packet, origin, now);
+        } else {
+            self.packet(packet, from, now);
+        }
+    }
+
+    /// The next datagram to send, and where to.
+    pub fn poll(&mut self) -> Option<(PeerId, Vec<u8>)> {
+        if let Some((to, datagram)) = self.signed.pop_front() {
+            self.meter.sent(&datagram);
+            return Some((to, datagram));
+        }
+        let (to, datagram) = self.outbox.pop_front()?;
+        let stamp = self.stamp();
+        let datagrams = self.signing.sign(datagram, to.endpoint as u8, stamp);
+        self.signed.extend(datagrams.into_iter().map(|datagram| (to, datagram)));
+        let (to, datagram) = self.signed.pop_front()?;
+        self.meter.sent(&datagram);
+        Some((to, datagram))
+    }
+
+    /// Now, in units of signing; 0 if nobody knows.
+    fn stamp(&self) -> u64 {
+        self.epoch.map_or(0, |epoch| signing::timestamp(epoch + self.now))
+    }
+
+    /// SETUP_SIGNING: the first key comes from anybody, any other must be signed with the old one.
+    fn setup_signing(&mut self, packet: &Packet, origin: Origin, now: Duration) {
+        let Some((key, initial)) = signing::setup_of(packet) else { return };
+        let fields = packet.fields();
+        let target = Target { system: fields.u8(8), component: fields.u8(9) };
+        if !target.is(self.system, AUTOPILOT) {
+            return;
+        }
+        if self.signing.is_on() && origin != Origin::Signed {
+            self.say("signing", MavSeverity::MAV_SEVERITY_WARNING, "signing: unsigned key refused", now);
+            return;
+        }
+        let text = if key.is_some() { "signing: new key" } else { "signing: off" };
+        self.signing.set_key(key, initial);
+        self.say("signing", MavSeverity::MAV_SEVERITY_NOTICE, text, now);
+    }
+
+    /// Its system id.
+    #[must_use]
+    pub fn system(&self) -> u8 {
+        self.system
+    }
+
+    /// Whether a setpoint for this very tick has arrived.
+    #[must_use]
+    pub fn ready(&self) -> bool {
+        self.ready && !self.over()
+    }
+
+    /// Whether any setpoint has arrived: the flight begins with the first.
+    #[must_use]
+    pub fn begun(&self) -> bool {
+        self.begun
+    }
+
+    /// Whether the flight has had all its intervals.
+    #[must_use]
+    pub fn over(&self) -> bool {
+        self.ticks.is_some_and(|ticks| self.sim.tick() >= Tick(ticks))
+    }
+
+    /// Whether a station has confirmed the last percept, by a setpoint with its time stamp.
+    #[must_use]
+    pub fn acknowledged(&self) -> bool {
+        self.acknowledged
+    }
+
+    /// One control interval passes; the percept at its end goes to all peers.
+    pub fn advance(&mut self, now: Duration) {
+        (self.now, self.advanced) = (now, now);
+        let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
+        let arrivals = self.arrivals();
+        self.sim.transmit();
+        let link = self.sim.telemetry().link;
+        let after = link.is_some_and(|link| link.outage);
+        self.hear(self.arrivals() > arrivals, after, now);
+        let control = self.control(now);
+        self.sim.set_control(control);
+        self.sim.step();
+        (self.ready, self.png, self.sendings) = (false, None, 0);
+        let power = link.map_or(self.sim.power(), |link| link.power);
+        let speed = self.conduct.armed.then(|| self.sim.world().uav.v.norm());
+        self.battery.spend(speed, power, self.sim.scenario());
+        self.rise_and_land(now);
+        let tick = self.sim.tick();
+        match (before, after) {
+            (false, true) => self.say(
+                "outage begins",
+                MavSeverity::MAV_SEVERITY_WARNING,
+                &format!("outage begins before tick {}", tick.0),
+                now,
+            ),
+            (true, false) => self.say(
+                "outage ends",
+                MavSeverity::MAV_SEVERITY_NOTICE,
+                &format!("outage ends before tick {}", tick.0),
+                now,
+            ),
+            _ => {}
+        }
+        if self.over() {
+            let text = format!("flight over after {} ticks", tick.0);
+            self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
+        }
+        self.send_percept();
+    }
+
+    /// Commands that have got through the radio.
+    fn arrivals(&self) -> u64 {
+        let fates = self.sim.fates();
+        fates.delivered + fates.delayed
+    }
+
+    /// The simulator inside.
+    #[must_use]
+    pub fn sim(&self) -> &Sim {
+        &self.sim
+    }
+
+    /// What was made of the messages so far.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        let packets = self.peers.values().map(|peer| peer.decoder.counts());
+        Tally {
+            packets: packets.fold(self.tally.packets, Counts::plus),
+            signed: self.signing.accepted(),
+            unsigned: self.signing.rejected().clone(),
+            ..self.tally.clone()
+        }
+    }
+
+    fn make_room(&mut self) {
+        if self.peers.len() < MAX_PEERS {
+            return;
+        }
+        let quietest = self.peers.iter().filter(|(_, peer)| !peer.fixed).min_by_key(|(_, peer)| peer.heard);
+        if let Some(address) = quietest.map(|(&address, _)| address) {
+            self.forget(address);
+        }
+    }
+
+    fn forget(&mut self, address: PeerId) {
+        if let Some(gone) = self.peers.remove(&address) {
+            self.tally.packets = self.tally.packets.plus(gone.decoder.counts());
+        }
+    }
+
+    /// The vehicle's clock, ns since it booted: in real time it goes on between control intervals.
+    fn boot_ns(&self, now: Duration) -> u64 {
+        let at_tick = u64::from(self.clock.boot_ms(self.sim.tick())) * 1_000_000;
+        let Some(period) = self.period else { return at_tick };
+        let part = (now.saturating_sub(self.advanced).as_secs_f64() / period.as_secs_f64()).min(1.0);
+        at_tick + (part * self.clock.interval_s() * 1e9) as u64
+    }
+}
