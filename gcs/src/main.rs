@@ -13,6 +13,7 @@ use crpl_gcs::lab::episodes::{self, Episodes};
 use crpl_gcs::lab::report;
 use crpl_gcs::lab::run::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
+use crpl_gcs::lab::{check, optimise};
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::outs::{self, Out};
@@ -36,6 +37,10 @@ enum Command {
     Fly(Fly),
     /// Fly many seeds in process, pictures rendered and encoded, and print means with intervals.
     Episodes(Episodes),
+    /// Optimise CRPL's two policies in latent space for a scenario (Algorithm 1)
+    Optimise(optimise::Optimise),
+    /// Count how many closed-loop flights of a policy keep each chance constraint
+    Check(check::Check),
     /// Fly a sweep: one key of the scenario against the paper's metrics, controllers paired by seeds.
     Sweep(sweep::Sweep),
     /// Join the shares of a sweep.
@@ -259,6 +264,8 @@ fn run_command(command: Command) -> Result<()> {
         Command::Replay(args) => runtime.block_on(crpl_gcs::tools::replay::run(args)),
         Command::Sitl(args) => runtime.block_on(crpl_sitl::program::cli::run(args)),
         Command::Episodes(args) => episodes::run(&args),
+        Command::Optimise(args) => optimise::run(&args),
+        Command::Check(args) => check::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Merge(args) => merge::run(&args),
         Command::Report(args) => report::run(&args),

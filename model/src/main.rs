@@ -7,11 +7,11 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use crpl_model::encoder::module::Backend;
+use crpl_model::evaluation;
 use crpl_model::training::recipe::{self, Run};
 use crpl_model::training::{ablation_command, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::TrainConfig;
-use crpl_model::{evaluation, planning};
 use crpl_sitl::Scenario;
 
 /// The world model of CRPL: its data, its training.
@@ -36,10 +36,6 @@ enum Command {
     Hard(ablation_command::Hard),
     /// Measure a world model on fresh pictures and draw the paper's Fig. 3.
     Evaluate(evaluation::command::Evaluate),
-    /// Optimise CRPL's two policies in latent space (Algorithm 1).
-    Optimise(planning::command::Optimise),
-    /// Fly a policy in closed loop and count how often it keeps each chance constraint.
-    Check(planning::command::Check),
 }
 
 #[derive(Debug, clap::Args)]
@@ -112,8 +108,6 @@ fn main() -> ExitCode {
         Command::Ablate(args) => ablation_command::ablate(&args),
         Command::Hard(args) => ablation_command::hard(&args),
         Command::Evaluate(args) => evaluation::command::run(&args),
-        Command::Optimise(args) => planning::command::run(&args),
-        Command::Check(args) => planning::command::check(&args),
     })
 }
 

@@ -3,9 +3,6 @@
 use crpl_model::encoder::module::{self, Backend};
 use crpl_model::evaluation::{self, EvaluationConfig};
 use crpl_model::heads::labels::{self, HeadsConfig, Scene, Station};
-use crpl_model::planning::flown;
-use crpl_model::planning::objective::Objective;
-use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::dataset::{self, Start};
 use crpl_sitl::Scenario;
@@ -175,28 +172,4 @@ fn a_checkpoint_of_the_wrong_shape_is_named() {
     assert!(error.contains("model.safetensors: not a safetensors file"), "{error}");
     let error = WorldModel::load(&dir.path().join("nowhere")).unwrap_err().to_string();
     assert!(error.contains("nowhere/model.safetensors"), "{error}");
-}
-
-#[test]
-fn the_shipped_policies_keep_the_chance_constraints_in_flight() {
-    let world = shipped();
-    for number in [1, 2] {
-        let mut scenario = Scenario::numbered(number).expect("the paper's scenario");
-        scenario.disturbance.sigma_c = 0.005;
-        let policies = Policies::shipped(number).expect("the shipped policies read");
-        let kept = flown::measure(&world, &policies, &scenario, &Objective::default(), 300, 3_100_000);
-        assert!(kept.safe.holds() && kept.comm.holds(), "scenario {number}: {kept:?}");
-    }
-}
-
-#[test]
-fn a_policy_that_saves_power_in_the_shadow_is_caught_by_its_flights() {
-    let (world, scenario) = (shipped(), Scenario::numbered(1).expect("the paper's scenario"));
-    let mut policies = Policies::shipped(1).expect("the shipped policies read");
-    if let Some(last) = policies.power.layers.last_mut() {
-        last.b = vec![100.0, -100.0];
-    }
-    let flown = flown::measure(&world, &policies, &scenario, &Objective::default(), 4, 0);
-    assert!(flown.safe.share == 1.0 && flown.comm.share == 0.0, "{flown:?}");
-    assert!(!flown.comm.holds());
 }

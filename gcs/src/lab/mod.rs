@@ -1,8 +1,10 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
+pub mod check;
 pub mod demo;
 pub mod episodes;
 pub mod figures;
+pub mod optimise;
 pub mod parquet;
 pub mod plot;
 pub mod report;
@@ -13,6 +15,7 @@ pub mod sweep;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::sim::record::{Metrics, Record};
 use crpl_sitl::{Scenario, Sim};
@@ -60,6 +63,23 @@ impl Contender {
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
         let pilot = models.pilot(controller, scenario)?;
         Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot })
+    }
+
+    /// `crpl` with policies that are not on disk yet.
+    #[must_use]
+    pub fn with_policies(world: &Arc<WorldModel>, policies: &Policies, scenario: &Scenario) -> Self {
+        Self {
+            controller: Controller::Crpl,
+            scenario: scenario.clone(),
+            world: world.clone(),
+            pilot: Pilot::Crpl(Arc::new(policies.clone())),
+        }
+    }
+
+    /// What is flown.
+    #[must_use]
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
     }
 
     /// A whole flight, interval by interval. Equal seeds give equal records.

@@ -75,7 +75,7 @@ impl Models {
         if policies.world != here {
             let name = self.policy.as_ref().map_or("the shipped policy".into(), |p| p.display().to_string());
             bail!(
-                "{name} was optimised in world model {}, and this is {here}: run `model optimise` on it",
+                "{name} was optimised in world model {}, and this is {here}: run `gcs optimise` on it",
                 if policies.world.is_empty() { "(unnamed)" } else { &policies.world }
             );
         }
@@ -89,7 +89,7 @@ impl Models {
         let number = scenario.number().with_context(|| {
             let o = scenario.obstacle.position;
             format!(
-                "no shipped policy knows an obstacle at ({}, {}): train one with `model optimise \
+                "no shipped policy knows an obstacle at ({}, {}): train one with `gcs optimise \
                  --scenario-file` and give it by --policy",
                 o.x, o.y
             )

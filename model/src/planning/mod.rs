@@ -2,10 +2,7 @@
 
 pub mod algorithm1;
 mod area;
-#[cfg(feature = "train")]
-pub mod command;
 mod exact;
-pub mod flown;
 mod head;
 pub(crate) mod lanes;
 mod lookahead;

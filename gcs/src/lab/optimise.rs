@@ -1,19 +1,22 @@
-//! `model optimise`: Algorithm 1 on a trained world model, shown as it runs, resumable.
+//! `gcs optimise`: Algorithm 1 on a trained world model, shown as it runs, resumable.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
-use crate::planning::algorithm1::{
+use anyhow::{Context, Result, bail};
+use crpl_model::planning::algorithm1::{
     self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
 };
-use crate::planning::flown::{self, Flown};
-use crate::planning::objective::{Estimate, Limits, Objective};
-use crate::planning::policy::Policies;
-use crate::world_model::WorldModel;
-use anyhow::{Context, Result, bail};
+use crpl_model::planning::objective::{Estimate, Limits};
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
+
+use crate::lab::check::{self, ConstraintCheck};
+use crate::station::models::Models;
 
 /// Optimise π_s and π_p in latent space for one scenario.
 #[derive(Debug, clap::Args)]
@@ -66,8 +69,8 @@ struct Sheet<'a> {
     revision: String,
     config: &'a OptimiseConfig,
     outcome: &'a Outcome,
-    /// Both constraints as flights measure them.
-    flown: &'a Flown,
+    /// Both chance constraints as closed-loop flights measure them.
+    flown: &'a ConstraintCheck,
 }
 
 /// Runs the subcommand.
@@ -86,10 +89,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     };
     config.check()?;
     one_obstacle(&scenario)?;
-    let world = match &args.checkpoint {
-        Some(dir) => WorldModel::load(dir)?,
-        None => WorldModel::embedded()?,
-    };
+    let world = Models::load(args.checkpoint.as_deref(), None)?.world;
     if args.compare_limits {
         return compare_limits(&world, &scenario, &config, args);
     }
@@ -98,7 +98,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     let saved = args.out.join(format!("{name}.progress.json"));
     let mut run = Saved {
         seed: args.seed,
-        world: crate::world_model::checkpoint::fingerprint(&world)?,
+        world: crpl_model::world_model::checkpoint::fingerprint(&world)?,
         scenario: scenario.clone(),
         config: config.clone(),
         progress: None,
@@ -110,8 +110,8 @@ pub fn run(args: &Optimise) -> Result<()> {
     let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
     let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
-    let flown = checked(&world, &policies, &scenario, &config);
-    let kept = if flown.safe.holds() && flown.comm.holds() { name } else { format!("{name}.rejected") };
+    let flown = check::after(&config, &world, &policies, &scenario)?;
+    let kept = if flown.holds() { name } else { format!("{name}.rejected") };
     write(
         &args.out,
         &kept,
@@ -139,43 +139,14 @@ pub fn run(args: &Optimise) -> Result<()> {
             o.motion.p_safe, o.motion.p_comm, o.motion.j
         );
         println!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
-        print!("{}", in_words(&flown));
+        print!("{flown}");
         println!("{wall_s:.1} s; {}", args.out.join(format!("{kept}.safetensors")).display());
     }
-    refused(&flown)
-}
-
-/// Count how many closed-loop flights of a policy keep each chance constraint.
-#[derive(Debug, clap::Args)]
-pub struct Check {
-    /// The paper's scenario.
-    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
-    scenario: u8,
-    /// A scenario of one's own (TOML), instead of the paper's.
-    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
-    scenario_file: Option<PathBuf>,
-    /// File with the policies; without it those that ship with the program.
-    #[arg(long, value_name = "FILE")]
-    policy: Option<PathBuf>,
-    /// Folder of the world model; without it the one that ships with the program.
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
-    /// Flights.
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
-    flights: u64,
-    /// Kick of the gusts where the scenario has none of its own, units per interval.
-    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick)]
-    kick: f64,
-    /// Seed of the first flight.
-    #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
-    first_seed: u64,
-    /// Print JSON.
-    #[arg(long)]
-    json: bool,
+    flown.verdict()
 }
 
 /// Algorithm 1 knows one obstacle, which stands.
-fn one_obstacle(scenario: &Scenario) -> Result<()> {
+pub(crate) fn one_obstacle(scenario: &Scenario) -> Result<()> {
     if scenario.second_obstacle.is_some() {
         bail!(
             "scenario {:?} has a second_obstacle; Algorithm 1 plans for one, crpl-rh in flight for two",
@@ -185,86 +156,9 @@ fn one_obstacle(scenario: &Scenario) -> Result<()> {
     Ok(())
 }
 
-/// First seed of the flights that check a policy: far from the seeds of sweeps and of training.
-const FIRST_CHECK: u64 = 3_000_000;
-
-/// Runs the subcommand `check`.
-pub fn check(args: &Check) -> Result<()> {
-    let scenario = match &args.scenario_file {
-        Some(path) => Scenario::load(path)?,
-        None => Scenario::numbered(args.scenario)?,
-    };
-    one_obstacle(&scenario)?;
-    let world = match &args.checkpoint {
-        Some(dir) => WorldModel::load(dir)?,
-        None => WorldModel::embedded()?,
-    };
-    let policies = match (&args.policy, scenario.number()) {
-        (Some(path), _) => Policies::load(path)?,
-        (None, Some(number)) => Policies::shipped(number)?,
-        (None, None) => bail!("--policy is needed: no policies ship for scenario {:?}", scenario.name),
-    };
-    if policies.world != crate::world_model::checkpoint::fingerprint(&world)? {
-        bail!("the policies were made in another world model; name theirs by --checkpoint");
-    }
-    if !(args.kick > 0.0 && args.kick.is_finite()) {
-        bail!("--kick {}: must be above 0", args.kick);
-    }
-    let scenario = gusty(&scenario, args.kick);
-    let (flights, objective) = (usize::try_from(args.flights)?, Objective::default());
-    let flown = flown::measure(&world, &policies, &scenario, &objective, flights, args.first_seed);
-    if args.json {
-        println!("{}", serde_json::to_string(&flown)?);
-    } else {
-        print!("{}", in_words(&flown));
-    }
-    refused(&flown)
-}
-
-/// The scenario with its own gusts, or with these if it has none.
-fn gusty(scenario: &Scenario, kick: f64) -> Scenario {
-    let mut scenario = scenario.clone();
-    if scenario.disturbance.sigma_c == 0.0 {
-        scenario.disturbance.sigma_c = kick / scenario.disturbance.noise_gain;
-    }
-    scenario
-}
-
-fn checked(world: &WorldModel, policies: &Policies, scenario: &Scenario, config: &OptimiseConfig) -> Flown {
-    let scenario = gusty(scenario, config.check_kick);
-    flown::measure(world, policies, &scenario, &config.objective, config.check_flights, FIRST_CHECK)
-}
-
-fn in_words(flown: &Flown) -> String {
-    let line = |what: &str, kept: &flown::Kept| {
-        format!(
-            "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, kick {}; 1 - delta = {}\n",
-            kept.share, kept.ci[0], kept.ci[1], flown.flights, flown.kick, kept.needed
-        )
-    };
-    line("P_safe", &flown.safe) + &line("P_comm", &flown.comm)
-}
-
-/// An error that names the constraint which flights did not keep.
-fn refused(flown: &Flown) -> Result<()> {
-    for (what, kept) in [("P_safe", &flown.safe), ("P_comm", &flown.comm)] {
-        if !kept.holds() {
-            bail!(
-                "the policy does not ship: {what} measured in {} flights is {:.4} (95 % interval from {:.4}), \
-                 needed {}",
-                flown.flights,
-                kept.share,
-                kept.ci[0],
-                kept.needed
-            );
-        }
-    }
-    Ok(())
-}
-
 /// Optimises once for each of [`Limits`] and prints what they are worth, in latent rollouts and in flight.
 fn compare_limits(
-    world: &WorldModel,
+    world: &Arc<WorldModel>,
     scenario: &Scenario,
     config: &OptimiseConfig,
     args: &Optimise,
@@ -276,7 +170,7 @@ fn compare_limits(
         let config = OptimiseConfig { limits, ..config.clone() };
         let stage = Stage::of(world, scenario, &config, args.seed)?;
         let (policies, outcome) = optimise(&stage, &config, args.seed, None, &mut Quiet)?;
-        let flown = checked(world, &policies, scenario, &config);
+        let flown = check::after(&config, world, &policies, scenario)?;
         let c = &outcome.comparison;
         if args.json {
             println!("{}", serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown}));

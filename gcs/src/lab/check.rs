@@ -1,0 +1,234 @@
+//! `gcs check`: the chance constraints as closed-loop flights measure them.
+//!
+//! Algorithm 1 sees latents and smooth stand-ins of the constraints alone. Here the pair of policies
+//! flies the same loop as every other flight (frames rendered and encoded, commands through the radio),
+//! and the flights that keep each constraint are counted: P_safe is the share of flights without a
+//! collision, P_comm the share of flights whose SNR, at the executed powers, never falls below γ_min.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use crpl_model::evaluation::intervals::{Interval, wilson};
+use crpl_model::planning::algorithm1::OptimiseConfig;
+use crpl_model::planning::objective::Objective;
+use crpl_model::planning::policy::Policies;
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
+use crpl_sitl::sim::record::Record;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::lab::Contender;
+use crate::lab::optimise::one_obstacle;
+use crate::station::models::Models;
+use crate::station::pilot::Controller;
+
+/// Count how many closed-loop flights of a policy keep each chance constraint.
+#[derive(Debug, clap::Args)]
+pub struct Check {
+    /// The paper's scenario.
+    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
+    scenario: u8,
+    /// A scenario of one's own (TOML), instead of the paper's.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    scenario_file: Option<PathBuf>,
+    /// File with the policies; without it those that ship with the program.
+    #[arg(long, value_name = "FILE")]
+    policy: Option<PathBuf>,
+    /// Folder of the world model; without it the one that ships with the program.
+    #[arg(long, value_name = "DIR")]
+    checkpoint: Option<PathBuf>,
+    /// Flights.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+    /// Kick of the gusts where the scenario has none of its own, units per interval.
+    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick)]
+    kick: f64,
+    /// Seed of the first flight.
+    #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
+    first_seed: u64,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// First seed of the flights that check a policy: far from the seeds of sweeps and of training.
+const FIRST_CHECK: u64 = 3_000_000;
+
+/// How often flights kept one chance constraint.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ConstraintRate {
+    /// Share of the flights, 0 to 1.
+    pub share: f64,
+    /// Its 95 % Wilson interval.
+    pub ci: Interval,
+    /// 1 - δ, the share that is needed.
+    pub needed: f64,
+}
+
+impl ConstraintRate {
+    fn of(kept: usize, flights: usize, tolerance: f64) -> Self {
+        Self {
+            share: kept as f64 / flights.max(1) as f64,
+            ci: wilson(kept, flights),
+            needed: 1.0 - tolerance,
+        }
+    }
+
+    /// Whether the low end of the interval reaches what is needed.
+    #[must_use]
+    pub fn holds(&self) -> bool {
+        self.ci[0] >= self.needed
+    }
+}
+
+/// Both chance constraints, measured in closed loop.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ConstraintCheck {
+    /// Flights.
+    pub flights: usize,
+    /// Seed of the first one.
+    pub first_seed: u64,
+    /// Standard deviation of the gusts' velocity change, units per interval.
+    #[serde(rename = "kick")]
+    pub gust_std: f64,
+    /// Flights without a collision.
+    pub safe: ConstraintRate,
+    /// Flights whose SNR never fell below γ_min.
+    pub comm: ConstraintRate,
+    /// Mean terminal distance to the goal, units.
+    pub d_f: f64,
+}
+
+impl ConstraintCheck {
+    /// Flies `flights` seeds from `first_seed` on, on all cores.
+    ///
+    /// # Errors
+    /// A flight without an interval.
+    pub fn measure(
+        contender: &Contender,
+        objective: &Objective,
+        flights: usize,
+        first_seed: u64,
+    ) -> Result<Self> {
+        let scenario = contender.scenario();
+        let ends: Vec<End> = (0..flights as u64)
+            .into_par_iter()
+            .map(|n| End::of(&contender.records(first_seed + n), scenario))
+            .collect();
+        let count = |kept: fn(&End) -> bool| ends.iter().filter(|end| kept(end)).count();
+        Ok(Self {
+            flights,
+            first_seed,
+            gust_std: scenario.disturbance.kick(),
+            safe: ConstraintRate::of(count(|end| end.clear), flights, objective.collision_tolerance),
+            comm: ConstraintRate::of(count(|end| end.connected), flights, objective.outage_tolerance),
+            d_f: ends.iter().map(|end| end.d_f).sum::<f64>() / flights.max(1) as f64,
+        })
+    }
+
+    /// Whether both constraints hold.
+    #[must_use]
+    pub fn holds(&self) -> bool {
+        self.safe.holds() && self.comm.holds()
+    }
+
+    /// # Errors
+    /// Names the constraint that the flights did not keep.
+    pub fn verdict(&self) -> Result<()> {
+        for (what, rate) in [("P_safe", &self.safe), ("P_comm", &self.comm)] {
+            if !rate.holds() {
+                bail!(
+                    "the policy does not ship: {what} measured in {} flights is {:.4} (95 % interval from \
+                     {:.4}), needed {}",
+                    self.flights,
+                    rate.share,
+                    rate.ci[0],
+                    rate.needed
+                );
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Display for ConstraintCheck {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (what, rate) in [("P_safe", &self.safe), ("P_comm", &self.comm)] {
+            writeln!(
+                f,
+                "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, kick {}; 1 - delta = {}",
+                rate.share, rate.ci[0], rate.ci[1], self.flights, self.gust_std, rate.needed
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// The result of one flight.
+struct End {
+    clear: bool,
+    connected: bool,
+    d_f: f64,
+}
+
+impl End {
+    fn of(records: &[Record], scenario: &Scenario) -> Self {
+        let least_db = 10.0 * scenario.channel.snr_min.log10();
+        Self {
+            // p_coll exceeds one half exactly where the clearance is below d_min.
+            clear: records.iter().all(|r| r.p_coll <= 0.5),
+            connected: records.iter().all(|r| f64::from(r.snr_db) >= least_db),
+            d_f: records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm()),
+        }
+    }
+}
+
+/// Runs `gcs check`.
+///
+/// # Errors
+/// Missing or mismatched files, and a policy that breaks a constraint.
+pub fn run(args: &Check) -> Result<()> {
+    let scenario = match &args.scenario_file {
+        Some(path) => Scenario::load(path)?,
+        None => Scenario::numbered(args.scenario)?,
+    };
+    one_obstacle(&scenario)?;
+    if !(args.kick > 0.0 && args.kick.is_finite()) {
+        bail!("--kick {}: must be above 0", args.kick);
+    }
+    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
+    let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.kick))?;
+    let flights = usize::try_from(args.flights)?;
+    let check = ConstraintCheck::measure(&contender, &Objective::default(), flights, args.first_seed)?;
+    if args.json {
+        println!("{}", serde_json::to_string(&check)?);
+    } else {
+        print!("{check}");
+    }
+    check.verdict()
+}
+
+/// The check that follows an optimisation with `config`.
+///
+/// # Errors
+/// As [`ConstraintCheck::measure`].
+pub fn after(
+    config: &OptimiseConfig,
+    world: &Arc<WorldModel>,
+    policies: &Policies,
+    scenario: &Scenario,
+) -> Result<ConstraintCheck> {
+    let contender = Contender::with_policies(world, policies, &gusty(scenario, config.check_kick));
+    ConstraintCheck::measure(&contender, &config.objective, config.check_flights, FIRST_CHECK)
+}
+
+/// The scenario with its own gusts, or with gusts of standard deviation `gust_std` if it has none.
+fn gusty(scenario: &Scenario, gust_std: f64) -> Scenario {
+    let mut scenario = scenario.clone();
+    if scenario.disturbance.sigma_c == 0.0 {
+        scenario.disturbance.sigma_c = gust_std / scenario.disturbance.noise_gain;
+    }
+    scenario
+}
