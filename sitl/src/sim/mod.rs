@@ -28,6 +28,8 @@ pub enum Control {
     Onboard(Vector2<f64>),
     /// Nobody: it stands on the ground.
     Parked,
+    /// Another simulator or autopilot: [`Sim::place`] says where it is.
+    External,
 }
 
 /// A flight in progress.
@@ -107,6 +109,11 @@ impl Sim {
         self.control = control;
     }
 
+    /// Where a UAV under [`Control::External`] is, paper units and units per interval.
+    pub fn place(&mut self, uav: State) {
+        self.world.uav = uav;
+    }
+
     /// One control interval passes: the packet gets through or not, then the UAV moves.
     pub fn advance(&mut self) {
         self.transmit();
@@ -119,8 +126,13 @@ impl Sim {
         self.link = Some(self.gate.transmit(self.tick, snr, &self.scenario.radio));
     }
 
-    /// The second half: the UAV moves, as [`Sim::set_control`] says.
+    /// The second half: the obstacles move, and the UAV as [`Sim::set_control`] says.
     pub fn step(&mut self) {
+        if self.control == Control::External {
+            self.world.step_obstacles(&self.scenario);
+            self.tick = self.tick.next();
+            return;
+        }
         let kick = self.scenario.disturbance.kick() * self.noise.normal(Stream::Wind, self.tick);
         let parked = (self.control == Control::Parked).then_some(self.world.uav.r);
         self.world.step(self.flown(), kick, &self.scenario);
@@ -135,12 +147,12 @@ impl Sim {
     #[must_use]
     pub fn flown(&self) -> Vector2<f64> {
         let wish = match (self.control, self.gate.held()) {
-            (Control::Station, Some(held)) => {
+            (Control::Station | Control::External, Some(held)) => {
                 let a = self.scenario.scale.paper_from_ned_acceleration(held.accel);
                 a / self.scenario.dynamics.a_max
             }
             (Control::Onboard(a), _) => a,
-            (Control::Station, None) | (Control::Parked, _) => Vector2::zeros(),
+            (Control::Station | Control::External, None) | (Control::Parked, _) => Vector2::zeros(),
         };
         wish.map(|x| x.clamp(-1.0, 1.0))
     }
@@ -155,7 +167,7 @@ impl Sim {
             velocity: scale.ned_from_paper_velocity(self.world.uav.v),
             obstacle: scale.ned_from_paper(self.world.obstacle.r),
             second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
-            held: self.gate.held().filter(|_| self.control == Control::Station),
+            held: self.gate.held().filter(|_| matches!(self.control, Control::Station | Control::External)),
             link: self.link,
         }
     }

@@ -1,22 +1,17 @@
 //! What CRPL sees of a foreign vehicle: its place in the paper's square, drawn as `sitl` draws it, with
 //! the obstacle of the scenario; and the modelled radio between station and vehicle.
 
-use crpl_sitl::radio::Gate;
-use crpl_sitl::radio::message::{Command, LinkReport, Percept, Telemetry};
+use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::sim::Control;
 use crpl_sitl::units::Tick;
-use crpl_sitl::world::World;
 use crpl_sitl::world::dynamics::State;
-use crpl_sitl::{Scenario, camera};
+use crpl_sitl::{Scenario, Sim};
 use nalgebra::Vector2;
 
-/// The scene of one flight.
+/// The scene of one flight: a [`Sim`] whose UAV another autopilot flies.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    scenario: Scenario,
-    world: World,
-    gate: Gate,
-    tick: Tick,
-    link: Option<LinkReport>,
+    sim: Sim,
     /// The paper's (0, 0) in the vehicle's local frame: north, east, m.
     origin: [f32; 2],
 }
@@ -26,45 +21,32 @@ impl Scene {
     #[must_use]
     pub fn new(scenario: Scenario, position: [f32; 2]) -> Self {
         let start = scenario.scale.ned_from_paper(scenario.start);
-        Self {
-            world: World::new(&scenario),
-            gate: Gate::default(),
-            tick: Tick::default(),
-            link: None,
-            origin: [position[0] - start[0], position[1] - start[1]],
-            scenario,
-        }
+        // The seed draws nothing: the other autopilot has gusts of its own.
+        let mut sim = Sim::new(scenario, 0);
+        sim.set_control(Control::External);
+        Self { sim, origin: [position[0] - start[0], position[1] - start[1]] }
     }
 
     /// The tick that begins now.
     #[must_use]
     pub fn tick(&self) -> Tick {
-        self.tick
+        self.sim.tick()
     }
 
-    /// The vehicle is here now, flying so: north, east, m and m/s in its local frame.
+    /// The percept of a vehicle at `position` with `velocity`: north, east, m and m/s in its local frame.
     pub fn percept(&mut self, position: [f32; 2], velocity: [f32; 2]) -> Percept {
-        let scale = &self.scenario.scale;
+        let scale = self.sim.scenario().scale;
         let position = [position[0] - self.origin[0], position[1] - self.origin[1]];
-        self.world.uav =
-            State { r: scale.paper_from_ned(position), v: scale.paper_from_ned_velocity(velocity) };
-        let telemetry = Telemetry {
-            tick: self.tick,
-            position,
-            velocity,
-            obstacle: scale.ned_from_paper(self.world.obstacle.r),
-            second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
-            held: self.gate.held(),
-            link: self.link,
-        };
-        Percept { telemetry, frame: camera::picture(&self.world, &self.scenario).into() }
+        self.sim
+            .place(State { r: scale.paper_from_ned(position), v: scale.paper_from_ned_velocity(velocity) });
+        self.sim.percept()
     }
 
-    /// How far it is from `position` to the square's edges: north and east, each downwards and upwards,
-    /// m; negative outside.
+    /// Distance from `position` to the square's edges: north and east, each downwards and upwards, m;
+    /// negative outside.
     #[must_use]
     pub fn room(&self, position: [f32; 2]) -> [[f64; 2]; 2] {
-        let corner = |at| self.scenario.scale.ned_from_paper(Vector2::repeat(at));
+        let corner = |at| self.sim.scenario().scale.ned_from_paper(Vector2::repeat(at));
         let (low, high) = (corner(0.0), corner(1.0));
         std::array::from_fn(|axis| {
             let here = position[axis] - self.origin[axis];
@@ -76,33 +58,23 @@ impl Scene {
     /// How far outside the paper's square the vehicle is, units; negative inside.
     #[must_use]
     pub fn outside(&self) -> f64 {
-        let r = self.world.uav.r;
+        let r = self.sim.world().uav.r;
         [-r.x, r.x - 1.0, -r.y, r.y - 1.0].into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// A control interval passes with this command, or with an older one if the radio does not carry
-    /// it; gives the acceleration to be flown, north, east, m/s².
+    /// A control interval passes with this command, or with an older one if the radio does not carry it.
+    /// Returns the acceleration to fly, north, east, m/s², within the scenario's limit on each axis.
     pub fn pass(&mut self, command: &Command) -> [f64; 2] {
-        self.gate.submit(*command);
-        let snr = self.world.snr(self.gate.power(), &self.scenario);
-        self.link = Some(self.gate.transmit(self.tick, snr, &self.scenario.radio));
-        self.skip();
-        self.flown()
+        self.sim.handle(*command);
+        self.sim.advance();
+        let scenario = self.sim.scenario();
+        let a = scenario.dynamics.a_max * self.sim.flown();
+        scenario.scale.ned_from_paper_acceleration(a).map(f64::from)
     }
 
-    /// A control interval passes without a percept, as the clock went on.
+    /// A control interval passes without a percept.
     pub fn skip(&mut self) {
-        self.world.step_obstacles(&self.scenario);
-        self.tick = self.tick.next();
-    }
-
-    /// What is flown, within the scenario's limit on each axis.
-    fn flown(&self) -> [f64; 2] {
-        let Some(held) = self.gate.held() else { return [0.0; 2] };
-        let scale = &self.scenario.scale;
-        let a_max = self.scenario.dynamics.a_max;
-        let paper = scale.paper_from_ned_acceleration(held.accel).map(|a| a.clamp(-a_max, a_max));
-        scale.ned_from_paper_acceleration(Vector2::new(paper.x, paper.y)).map(f64::from)
+        self.sim.step();
     }
 }
 
@@ -127,17 +99,28 @@ mod tests {
         assert_eq!(seen.telemetry.obstacle, sim.telemetry().obstacle);
     }
 
+    /// One radio: behind the obstacle this scene loses the packet that `sitl` loses there.
     #[test]
     fn an_outage_holds_the_last_action() {
         let mut scenario = Scenario::default();
+        scenario.radio.b_dt = 2.0;
         let mut scene = Scene::new(scenario.clone(), [0.0; 2]);
-        scene.percept([0.0; 2], [0.0; 2]);
-        let command = |tick, north| Command::new(tick, [north, 0.0], TxPower::High);
-        assert_eq!(scene.pass(&command(Tick(0), 2.0)), [2.0, 0.0]);
-        scenario.radio.b_dt = 1e-3;
-        scene.scenario = scenario;
-        scene.percept([0.0; 2], [0.0; 2]);
-        assert_eq!(scene.pass(&command(Tick(1), -2.0)), [2.0, 0.0]);
-        assert!(scene.percept([0.0; 2], [0.0; 2]).telemetry.link.unwrap().outage);
+        let command = |tick, north, power| Command::new(Tick(tick), [north, 0.0], power);
+        let start = scene.percept([0.0; 2], [0.0; 2]).telemetry.position;
+        assert_eq!(scene.pass(&command(0, 2.0, TxPower::High)), [2.0, 0.0]);
+        let shadow = scenario.scale.ned_from_paper(Vector2::new(0.5, 0.7));
+        let behind = [shadow[0] - start[0], shadow[1] - start[1]];
+        assert!(!scene.percept(behind, [0.0; 2]).telemetry.link.is_none_or(|link| link.outage));
+        assert_eq!(scene.pass(&command(1, -2.0, TxPower::Low)), [2.0, 0.0]);
+        let told = scene.percept(behind, [0.0; 2]).telemetry;
+        assert_eq!(told.held.map(|held| held.tick), Some(Tick(0)));
+
+        let mut sim = Sim::new(scenario, 0);
+        sim.set_control(Control::External);
+        sim.place(State::at_rest(Vector2::new(0.5, 0.7)));
+        sim.handle(command(0, -2.0, TxPower::Low));
+        sim.transmit();
+        assert_eq!(sim.telemetry().link, told.link);
+        assert!(told.link.is_some_and(|link| link.outage));
     }
 }
