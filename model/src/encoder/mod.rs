@@ -1,4 +1,4 @@
-//! Frame to latents: the JEPA encoder (Sec. III-B), for flights and for training.
+//! Frame to latents: the JEPA encoder (Eq. (2), Sec. II-A1; layers: Sec. IV-A2), for flights and for training.
 
 pub mod infer;
 #[cfg(feature = "train")]

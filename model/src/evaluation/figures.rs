@@ -8,7 +8,7 @@ use crate::evaluation::chart::{self, Chart, PlotError, Series, Style};
 use crate::evaluation::report::Measured;
 use crate::evaluation::rollout::{Errors, LONGEST, Name, Start};
 
-/// The predictors of the paper's figure, and what it reports for H = 100: P(≤ 1 px), p90 in px.
+/// The predictors of Fig. 3, and what Sec. IV-B reports for H = 100: P(≤ 1 px), p90 in px.
 const PAPER: [(Name, &str, f64, f64); 3] =
     [(Name::Linear, "linear", 0.93, 0.82), (Name::Mlp, "MLP", 0.84, 1.08), (Name::Lstm, "LSTM", 0.68, 1.28)];
 

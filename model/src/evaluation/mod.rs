@@ -1,7 +1,7 @@
 //! What a world model is worth, on held-out pictures: decode errors, leakage, rollouts, heads.
 //!
-//! Ground truth is used here alone, and only to measure. Errors are l1 in px (0.01 unit), as the
-//! paper has them.
+//! Ground truth is used here alone, and only to measure. Errors are l1 in px (0.01 unit), as in
+//! Sec. IV-B.
 
 pub mod alarms;
 pub mod chart;

@@ -1,4 +1,4 @@
-//! Algorithm 1: π_s by gradient through latent rollouts (stage 1), then π_p along the trajectories
+//! Algorithm 1 (Sec. III-D): π_s by gradient through latent rollouts (stage 1), then π_p along trajectories
 //! that π_s flies (stage 2).
 //!
 //! The warm start tries both ways round the obstacle, each from an easier problem, and keeps the

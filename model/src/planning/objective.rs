@@ -1,4 +1,4 @@
-//! CRPL's objective J_η on latent rollouts, and its gradient with respect to π_s (Sec. III).
+//! CRPL's objective J_η (Eq. (29), Sec. III-D) on latent rollouts, and its gradient with respect to π_s.
 //!
 //! Everything happens in plane coordinates (z = E y, so nothing is lost): the learned predictor
 //! rolls the latents out, the learned heads tell risk and channel, and the chance constraints enter
@@ -16,14 +16,14 @@ pub use crate::planning::head::Head;
 pub(crate) use crate::planning::rollout::samples;
 use crate::planning::rollout::{Share, Trace, backward, forward};
 
-/// Soft minimum m_β(x) = -(1/β) log Σ e^(-β x_k).
+/// Soft minimum m_β(x) = -(1/β) log Σ e^(-β x_k), Eq. (23), Sec. III-C.
 #[must_use]
 pub fn softmin(x: &[f64], beta: f64) -> f64 {
     let least = x.iter().copied().fold(f64::INFINITY, f64::min);
     least - x.iter().map(|v| (-beta * (v - least)).exp()).sum::<f64>().ln() / beta
 }
 
-/// Smooth outage p̂_out = σ_α(1 - γ/γ_min).
+/// Smooth outage p̂_out = σ_α(1 - γ/γ_min), Eq. (25), Sec. III-C.
 #[must_use]
 pub fn outage_surrogate(snr: f64, snr_min: f64, alpha: f64) -> f64 {
     1.0 / (1.0 + (-alpha * (1.0 - snr / snr_min)).exp())
@@ -40,14 +40,14 @@ fn log_ext_slope(x: f64, eps: f64) -> f64 {
     1.0 / x.max(eps)
 }
 
-/// Barrier weight w = ε_b + 1/η and the end ε = min(0.02, w/2) of the logarithm proper.
+/// Barrier weight w = ε_b + 1/η of Eq. (29) and the end ε = min(0.02, w/2) of the logarithm proper.
 #[must_use]
 pub fn barrier_weight(eta: f64, residual: f64) -> (f64, f64) {
     let w = residual + 1.0 / eta;
     (w, (w / 2.0).min(0.02))
 }
 
-/// -w [log_ext(P_safe - 1 + δ1) + log_ext(P_comm - 1 + δ2)]: the paper's log(a / b^-1) is a product.
+/// -w [log_ext(P_safe - 1 + δ1) + log_ext(P_comm - 1 + δ2)]: the log(a / b^-1) of Eq. (29) is a product.
 #[must_use]
 pub fn barrier(p_safe: f64, p_comm: f64, w: f64, eps: f64, objective: &Objective) -> f64 {
     -w * (log_ext(p_safe - 1.0 + objective.collision_tolerance, eps)
@@ -58,7 +58,7 @@ pub fn barrier(p_safe: f64, p_comm: f64, w: f64, eps: f64, objective: &Objective
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Objective {
-    /// Weight of |r - r_g|²: what the unknown latent scale of the paper's ‖z_c - z_g‖² stands for.
+    /// Weight of |r - r_g|²: what the unknown latent scale of ‖z_c - z_g‖² in Eq. (9) stands for.
     pub lambda_goal: f64,
     /// λ_s
     pub lambda_motion: f64,

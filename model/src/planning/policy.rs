@@ -21,10 +21,10 @@ const WORLD: &str = "world_model";
 /// Number of inputs of each policy.
 pub const FEATURES: usize = 6;
 
-/// Widths of π_s: two hidden layers of 64, five motions (Sec. IV-A.5).
+/// Widths of π_s: two hidden layers of 64, five motions (Sec. IV-A5).
 pub const MOTION_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 5];
 
-/// Widths of π_p: two hidden layers of 64, two powers.
+/// Widths of π_p: two hidden layers of 64, two powers (Sec. IV-A5).
 pub const POWER_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 2];
 
 /// The policies' view of M = 2 latents: [2 y_c/S, (y_c - y_c')/(S v_max), y_u/2].

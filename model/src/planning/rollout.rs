@@ -1,4 +1,5 @@
-//! Latent rollouts, forward and backward, [`LANES`](crate::numeric::kernel::LANES) at a time.
+//! Latent rollouts (Eq. (20), Sec. III-B), forward and backward,
+//! [`LANES`](crate::numeric::kernel::LANES) at a time.
 
 use multiversion::multiversion;
 

@@ -1,4 +1,4 @@
-//! The linear second-order predictors of both latent halves (paper, Sec. IV-A), learned in f64.
+//! The linear second-order predictors of both latent halves (Eq. (31), Sec. IV-A2), learned in f64.
 //!
 //! ẑ_c' = Ψ_c0 z_c,k + Ψ_c1 z_c,k-1 + Ψ_ca a_k and ẑ_u' = Ψ_u0 z_u,k + Ψ_u1 z_u,k-1. Over 100 steps
 //! Ψ0 + Ψ1 - I must be right to about 1e-6, so the fit is pinned to (2I, -I) by a ridge. Knows

@@ -1,5 +1,5 @@
 //! The predictors that the linear one is compared with: an MLP and an LSTM on the same frozen latents
-//! (paper, Sec. IV-B), as plain networks.
+//! (Sec. IV-B), as plain networks.
 //!
 //! Both correct constant velocity, ŷ' = 2 y_k - y_{k-1} + bend·f(y_k, y_k - y_{k-1}, a_k), in plane
 //! coordinates: a latent half is of rank 2, so nothing is lost. They stand in a file of their own: the

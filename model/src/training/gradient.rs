@@ -1,5 +1,5 @@
 //! The gradient stage: an online encoder descends on the JEPA loss, a target encoder follows it
-//! (paper, Sec. IV-A). Read [`train`] from top to bottom; the losses are in [`losses`].
+//! (Sec. II-A3 and IV-A2). Read [`train`] from top to bottom; the losses are in [`losses`].
 //!
 //! No labels: pictures and actions only. Every number that decides the next step is in one value, so
 //! a run that was stopped goes on with the bytes of one that was not.

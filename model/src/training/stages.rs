@@ -84,7 +84,7 @@ pub struct Gradient {
     pub warm_up: usize,
     /// Bound of the gradient's norm.
     pub clip: f64,
-    /// τ: φ_tar ← τ φ_tar + (1-τ) φ.
+    /// τ: φ_tar ← τ φ_tar + (1-τ) φ, Eq. (7), Sec. II-A3.
     pub momentum: f64,
     /// Recipe B: weight of the error against the target encoder beside that against the online one.
     pub target_weight: f64,
@@ -129,7 +129,8 @@ pub enum Loss {
     /// Prediction errors of both halves with the gradient through every online frame, each divided by
     /// its own running mean; z_u whitened and trimmed; a little weight on the target encoder.
     RecipeB,
-    /// The paper's: |ẑ_c - z_c,tar|² + |ẑ_u - z_u,tar|², no gradient through the target, nothing else.
+    /// The paper's, Eq. (8), Sec. II-A3: |ẑ_c - z_c,tar|² + |ẑ_u - z_u,tar|², no gradient through the target,
+    /// nothing else.
     Paper,
 }
 

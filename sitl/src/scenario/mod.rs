@@ -165,7 +165,7 @@ impl Default for Dynamics {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Disturbance {
-    /// σ_c of the paper.
+    /// σ_c of Eq. (30).
     pub sigma_c: f64,
     /// Kick per unit of σ_c (our choice: 0.3; read literally, 1, no controller reaches the goal).
     pub noise_gain: f64,
@@ -240,9 +240,9 @@ impl Default for Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Rule {
-    /// Every packet gets through: the paper's trajectory figures.
+    /// Every packet gets through: the paper's Figs. 4 and 5.
     Ideal,
-    /// It is lost: the paper's bandwidth and disturbance figures.
+    /// It is lost (Sec. IV-A4): the paper's Figs. 6 and 7.
     Drop,
     /// It is sent again in the next interval, unless a newer one has taken its place.
     Queue,
@@ -301,7 +301,7 @@ impl Default for Safety {
     }
 }
 
-/// Rotary-wing power model; all given by the paper, SI units.
+/// Rotary-wing power model; all given by the paper (Sec. IV-A6), SI units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Propulsion {
@@ -342,7 +342,7 @@ impl Default for Propulsion {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Action {
-    /// Goes on as before: the paper's rule, a UAV holds its last action.
+    /// Goes on as before: the paper's rule (Sec. IV-A4), a UAV holds its last action.
     Hold,
     /// Brakes to a stop, as ArduCopter in GUIDED does.
     Brake,

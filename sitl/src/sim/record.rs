@@ -1,4 +1,4 @@
-//! One line per control interval, and the paper's five metrics computed from the lines.
+//! One line per control interval, and the paper's five metrics (Sec. IV-A6) computed from the lines.
 //!
 //! A record is made from what crossed the link, so a flight in process and a flight over UDP are
 //! scored by the same function and, in lockstep, give the same bytes.
@@ -72,7 +72,7 @@ impl Record {
     }
 }
 
-/// The paper's five metrics (Sec. IV-A.6) of one flight, and whether it ended at the goal.
+/// The paper's five metrics (Sec. IV-A6) of one flight, and whether it ended at the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// Control intervals flown.

@@ -1,9 +1,9 @@
-//! The two actions of the paper (Sec. IV-A): motion A_s and transmit power A_p.
+//! The two actions of the paper (Sec. IV-A1): motion A_s and transmit power A_p.
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-/// The paper's motion actions A_s, in the order of the policy's output neurons.
+/// The motion actions A_s (Sec. IV-A1), in the order of the policy's output neurons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Motion {
@@ -35,7 +35,7 @@ impl Motion {
         }
     }
 
-    /// The feasible action nearest to a relaxed one (Euclid; ties to the lowest index; Sec. IV-A).
+    /// The feasible action nearest to a relaxed one (Euclid; ties to the lowest index; Sec. IV-A1).
     #[must_use]
     pub fn nearest(wish: Vector2<f64>) -> Self {
         let mut best = Self::Coast;

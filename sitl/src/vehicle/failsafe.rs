@@ -3,7 +3,7 @@
 //!
 //! | silence | counts while | then, by `[failsafe]` of the scenario or `FS_*` parameters |
 //! |---|---|---|
-//! | of setpoints | in GUIDED, once one has got through | `hold`: the last action for ever, as in the paper; `brake`: to a stop, and on with the next setpoint; `return`: RTL |
+//! | of setpoints | in GUIDED, once one has got through | `hold`: the last action for ever, as in the paper (Sec. IV-A4); `brake`: to a stop, and on with the next setpoint; `return`: RTL |
 //! | of stations | armed, once one was heard | `hold`; `brake`: BRAKE; `return`: RTL |
 //!
 //! A station is heard by its HEARTBEAT (type GCS), and by setpoints and commands to this vehicle; other

@@ -21,14 +21,14 @@ impl State {
     }
 }
 
-/// v · min(1, v_max/|v|): the speed is limited before the position is updated (Sec. IV-A).
+/// v · min(1, v_max/|v|): the speed is limited before the position is updated (Sec. IV-A1).
 #[must_use]
 pub fn limit_speed(v: Vector2<f64>, v_max: f64) -> Vector2<f64> {
     let speed = v.norm();
     if speed > v_max { v * (v_max / speed) } else { v }
 }
 
-/// One control interval of the UAV, eq. (simulation_second_order) in the paper's order:
+/// One control interval of the UAV, Eq. (30), Sec. IV-A1, in the paper's order:
 /// v' = limit(v + a_max a + kick), r' = r + v', then the box.
 ///
 /// `a` is the normalised acceleration, `kick` the velocity disturbance σ w_k in units per interval.
@@ -54,7 +54,7 @@ pub fn contain(mut state: State) -> State {
     state
 }
 
-/// The obstacle: r_u' = r_u + v_u, reflected where its centre would pass `margin` from a wall.
+/// The obstacle: r_u' = r_u + v_u (Sec. IV-A1), reflected where its centre would pass `margin` from a wall.
 #[must_use]
 pub fn step_obstacle(state: State, margin: f64) -> State {
     let mut next = State { r: state.r + state.v, v: state.v };

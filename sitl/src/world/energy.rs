@@ -1,4 +1,4 @@
-//! Propulsion power of a rotary-wing UAV (Sec. IV-A.6; Zeng et al., 2019).
+//! Propulsion power of a rotary-wing UAV (Sec. IV-A6; Zeng, Xu and Zhang, 2019).
 
 use crate::scenario::Propulsion;
 

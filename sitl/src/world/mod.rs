@@ -1,6 +1,6 @@
 //! The ground truth: a UAV, an obstacle or two and a base station in the unit square.
 //!
-//! Knows the physics of the paper's Section IV-A and nothing of packets, controllers or protocols.
+//! Knows the physics of the paper's Sec. IV-A and nothing of packets, controllers or protocols.
 
 pub mod channel;
 pub mod dynamics;

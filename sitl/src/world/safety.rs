@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::channel::sigmoid;
 
-/// Boundary distance |r_c - r_u| - R_o - R_u, units; negative when the discs overlap.
+/// Boundary distance d(Ω_c, Ω_u) = |r_c - r_u| - R_o - R_u of Eq. (21), units; negative when the discs overlap.
 #[must_use]
 pub fn clearance(uav: Vector2<f64>, obstacle: Vector2<f64>, uav_radius: f64, obstacle_radius: f64) -> f64 {
     (uav - obstacle).norm() - obstacle_radius - uav_radius

@@ -26,7 +26,7 @@ pub const GUSTY: u64 = 200;
 /// Their σ_c and first seed.
 const GUSTS: (f64, u64) = (0.005, 100_000);
 
-/// The controllers of the paper.
+/// The controllers of the paper (Sec. IV-A7).
 const PAPER: [Controller; 4] = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
 
 /// One controller's flight, and what its records say.

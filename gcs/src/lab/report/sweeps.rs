@@ -38,7 +38,7 @@ const fn said(
     Said { sweep, x, controller, metric, paper, least }
 }
 
-/// Section IV-D of the paper, in numbers.
+/// Sec. IV-D of the paper, in numbers.
 const SAID: [Said; 13] = [
     said("bandwidth", 2.5, Controller::Rcc, Metric::TerminalError, 3.0, 3.0),
     said("bandwidth", 2.5, Controller::Ucc, Metric::TerminalError, 2.5, 2.5),

@@ -10,7 +10,7 @@ use super::plan::Plan;
 use crate::lab::stats::{Mean, Resamples};
 use crate::station::pilot::Controller;
 
-/// The paper's five metrics, in the order of its panels.
+/// The paper's five metrics (Sec. IV-A6), in the order of the panels of Figs. 6 and 7.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Metric {
     /// d_f
