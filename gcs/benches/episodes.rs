@@ -1,6 +1,8 @@
 //! Closed-loop flights a second on one core, in process, every picture rendered and encoded; and what a control
 //! interval spends on rendering, on encoding and on the rest.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 #[path = "../../sitl/benches/rate/mod.rs"]
 mod rate;
 

@@ -3,6 +3,7 @@
 //!
 //! `cargo bench -p gcs --bench receive`
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
 #![expect(clippy::unwrap_used, reason = "a bench fails by panicking")]
 
 use std::hint::black_box;

@@ -1,6 +1,8 @@
 //! Algorithm 1: an iteration of stage 1 by the hand-written reverse mode and by burn's autodiff (64
 //! rollouts of 100 intervals each), and a whole scenario.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 #[path = "../tests/oracle/mod.rs"]
 mod oracle;
 #[path = "../../sitl/benches/rate/mod.rs"]

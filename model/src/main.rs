@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -13,6 +12,7 @@ use crpl_model::training::{ablation_command, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::TrainConfig;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::timing::Stopwatch;
 
 /// The world model of CRPL: its data, its training.
 #[derive(Debug, Parser)]
@@ -128,11 +128,15 @@ fn run(args: &Train) -> anyhow::Result<()> {
         config = config.quick();
         tracing::warn!("--quick: less data and fewer steps; these are not the figures of the full recipe");
     }
-    let run =
-        Run { backend: args.backend, out: args.out.clone(), data: args.data.clone(), resume: args.resume };
-    let (started, cpu) = (Instant::now(), recipe::cpu_seconds());
+    let run = Run {
+        backend: args.backend,
+        out: args.out.clone(),
+        data: args.data.clone(),
+        resume: args.resume,
+        stopwatch: Stopwatch::default(),
+    };
     let (model, figures) = recipe::train(&config, &run)?;
-    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), recipe::cpu_seconds() - cpu);
+    let (wall_s, cpu_s) = run.stopwatch.seconds();
     if args.json {
         let out = serde_json::json!({
             "out": args.out,
@@ -164,7 +168,7 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
         None => WorldModel::embedded()?,
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
-    let started = Instant::now();
+    let stopwatch = Stopwatch::default();
     let trained = recipe::networks(&config, &model)?;
     predictors::publish(&trained, &args.out)?;
     for (name, curve) in ["MLP", "LSTM"].iter().zip(&trained.curves) {
@@ -172,6 +176,6 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
         println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
     }
-    println!("{:.1} s; in {}", started.elapsed().as_secs_f64(), args.out.display());
+    println!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
     Ok(())
 }

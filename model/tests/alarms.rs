@@ -7,6 +7,7 @@ use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::training::recipe::{Run, TrainError, train, without_heads};
 use crpl_model::training::stages::{Gradient, Init, Loss, PsiStart, Stages};
 use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
+use crpl_sitl::program::timing::Stopwatch;
 
 fn small() -> TrainConfig {
     TrainConfig {
@@ -77,7 +78,13 @@ fn too_few_pictures_are_told_by_the_eigenvalue() {
 fn a_model_with_an_alarm_does_not_ship() {
     let dir = tempfile::tempdir().unwrap();
     let config = TrainConfig { stages: Stages { init: Init::Kaiming, ..Stages::default() }, ..small() };
-    let run = Run { backend: Backend::Flex, out: dir.path().into(), data: None, resume: false };
+    let run = Run {
+        backend: Backend::Flex,
+        out: dir.path().into(),
+        data: None,
+        resume: false,
+        stopwatch: Stopwatch::default(),
+    };
     let error = train(&config, &run).unwrap_err();
     assert!(matches!(error, TrainError::Alarms { .. }), "{error}");
     let words = error.to_string();

@@ -12,6 +12,7 @@ use crpl_model::training::recipe::{Run, TrainError, train};
 use crpl_model::training::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
+use crpl_sitl::program::timing::Stopwatch;
 
 fn small() -> TrainConfig {
     TrainConfig {
@@ -36,7 +37,7 @@ fn small() -> TrainConfig {
 }
 
 fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainError> {
-    go(&small(), &Run { backend, out: out.into(), data: None, resume })
+    go(&small(), &Run { backend, out: out.into(), data: None, resume, stopwatch: Stopwatch::default() })
 }
 
 fn go(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
@@ -84,7 +85,13 @@ fn another_configuration_does_not_go_on_with_the_run() {
     std::fs::create_dir_all(dir.path().join("model.safetensors/in the way")).unwrap();
     run(dir.path(), Backend::Flex, false).unwrap_err();
     let other = TrainConfig { seed: 5, ..small() };
-    let run = Run { backend: Backend::Flex, out: dir.path().into(), data: None, resume: true };
+    let run = Run {
+        backend: Backend::Flex,
+        out: dir.path().into(),
+        data: None,
+        resume: true,
+        stopwatch: Stopwatch::default(),
+    };
     let error = train(&other, &run).unwrap_err().to_string();
     assert!(error.contains("another configuration"), "{error}");
 }
@@ -143,7 +150,13 @@ fn with_gradient() -> TrainConfig {
 #[test]
 fn a_gradient_stage_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
-    let run = |out: &Path, resume| Run { backend: Backend::Flex, out: out.into(), data: None, resume };
+    let run = |out: &Path, resume| Run {
+        backend: Backend::Flex,
+        out: out.into(),
+        data: None,
+        resume,
+        stopwatch: Stopwatch::default(),
+    };
     let mut learned = with_gradient();
     if let Some(gradient) = &mut learned.stages.gradient {
         gradient.psi = PsiStart::Learned;

@@ -3,6 +3,8 @@
 //! every second; the station that sends them is in this process too, so the processor's time is theirs
 //! and its. The aim is to keep up on two cores.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 

@@ -2,6 +2,8 @@
 //! `mavlink` crate in the same run (the aim is 0.9 of it), the round trip of a TIMESYNC over loopback (the
 //! aim is a 99th percentile of 1 ms), and control intervals over loopback in lockstep.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 mod rate;
 
 use std::hint::black_box;

@@ -4,6 +4,7 @@
 //!
 //! `cargo bench -p tests --bench bridge`
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
 #![expect(clippy::unwrap_used, reason = "a bench fails by panicking")]
 
 use std::net::UdpSocket;

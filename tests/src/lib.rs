@@ -4,6 +4,8 @@
 //! The tests themselves lie in `tests/`, what they do in Python in `python/`. Nothing here knows what
 //! a flight is.
 
+#![expect(clippy::disallowed_methods, reason = "whole programs run on the wall's time")]
+
 pub mod fake_autopilot;
 pub mod golden;
 pub mod program;

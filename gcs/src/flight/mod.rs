@@ -8,6 +8,8 @@
 //! for the vehicle stay here; an operator's change of mode passes, and once the vehicle has taken it
 //! the station sends no more: it says so and goes on passing messages to and fro.
 
+#![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
+
 pub mod foreign;
 pub mod remote;
 

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
@@ -12,6 +11,7 @@ use crpl_model::planning::objective::{Estimate, Limits};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::timing::Stopwatch;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 
@@ -105,7 +105,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     };
     let begun = if args.resume { read_progress(&saved, &mut run)? } else { None };
 
-    let started = Instant::now();
+    let stopwatch = Stopwatch::default();
     let stage = Stage::of(&world, &scenario, &config, args.seed)?;
     let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
     let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
@@ -126,7 +126,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         },
     )?;
     std::fs::remove_file(&saved).with_context(|| format!("removing {}", saved.display()))?;
-    let wall_s = started.elapsed().as_secs_f64();
+    let wall_s = stopwatch.seconds().0;
     if args.json {
         let iterations = algorithm1::total_iterations(&config);
         let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,

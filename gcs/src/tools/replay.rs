@@ -4,6 +4,8 @@
 //! told as the vehicle told it: its report, its place on the map and its heartbeat. Commands that a
 //! station sent are left out of a tlog unless they are wanted: nobody is to fly by them.
 
+#![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
+
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

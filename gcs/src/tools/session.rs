@@ -2,6 +2,8 @@
 //!
 //! Beats once a second, finds the vehicle, repeats commands, and runs an [`Exchange`] to its end.
 
+#![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
+
 use std::path::PathBuf;
 use std::time::Duration;
 

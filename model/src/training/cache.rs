@@ -1,7 +1,6 @@
 //! Finished stages of a training run on disk, so that a run that was stopped goes on where it was.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use crate::encoder::infer::{Encoder, Features};
 use crate::encoder::weights::{FEATURES, Weights};
@@ -60,7 +59,6 @@ impl Kept {
         let Some(home) = &self.dir else { return make() };
         let dir = home.join(name);
         if !dir.exists() {
-            let started = Instant::now();
             let made = make()?;
             // Finished when it has its name.
             let beside = home.join(format!("{name}.part"));
@@ -68,7 +66,7 @@ impl Kept {
             std::fs::create_dir_all(&beside).map_err(failed)?;
             save(&made, &beside)?;
             std::fs::rename(&beside, &dir).map_err(failed)?;
-            tracing::info!(seconds = started.elapsed().as_secs_f32(), "stage {name} done");
+            tracing::info!("stage {name} done");
         }
         Ok(load(&dir)?)
     }

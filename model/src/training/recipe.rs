@@ -7,8 +7,8 @@
 //! ship.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
+use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 
@@ -83,6 +83,8 @@ pub struct Run {
     pub data: Option<PathBuf>,
     /// Whether to go on with an unfinished run.
     pub resume: bool,
+    /// Started with the run: the card says what training has cost.
+    pub stopwatch: Stopwatch,
 }
 
 /// Where a model goes that does not ship, inside the run's folder.
@@ -106,7 +108,7 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// The whole recipe. Writes the checkpoint and returns it with the alarms' figures.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), TrainError> {
     config.check()?;
-    let (started, cpu_before, revision) = (Instant::now(), cpu_seconds(), crpl_sitl::program::revision());
+    let revision = crpl_sitl::program::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let identity = serde_json::json!({ "config": config, "backend": run.backend, "data": run.data });
@@ -167,8 +169,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
             kept.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
         predictors::publish(&trained, &dir)?;
     }
-    let (wall, cpu) = (started.elapsed().as_secs_f64(), cpu_seconds() - cpu_before);
-    let card = card_text(&model, &figures, &alarms, &revision, wall, cpu);
+    let card = card_text(&model, &figures, &alarms, &revision, run.stopwatch);
     checkpoint::write_all(&dir.join(CARD), card.as_bytes())?;
     if !alarms.is_empty() {
         kept.remove()?;
@@ -339,26 +340,17 @@ fn in_words(alarms: &[Alarm]) -> String {
     alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
-/// CPU time of this process, user and system, seconds; 0 where the system does not tell.
-#[must_use]
-pub fn cpu_seconds() -> f64 {
-    // Fields 14 and 15 of the line, counted after the name in parentheses; in ticks of 10 ms.
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let after_name = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
-    after_name.split_whitespace().skip(11).take(2).filter_map(|t| t.parse::<f64>().ok()).sum::<f64>() / 100.0
-}
-
 /// The card for people.
 fn card_text(
     model: &WorldModel,
     figures: &Figures,
     alarms: &[Alarm],
     revision: &str,
-    wall: f64,
-    cpu: f64,
+    stopwatch: Stopwatch,
 ) -> String {
     let Card { backend, config, metrics, .. } = &model.card;
     let data = &config.data;
+    let (wall, cpu) = stopwatch.seconds();
     let verdict = if alarms.is_empty() {
         String::new()
     } else {

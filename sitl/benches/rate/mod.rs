@@ -3,6 +3,8 @@
 //! Made of the standard library alone: a bench framework among the dev-dependencies would change the
 //! features of shared dependencies, and the tests would then compile all of burn a second time.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 use std::time::{Duration, Instant};
 
 const SAMPLES: usize = 51;

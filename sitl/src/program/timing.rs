@@ -89,6 +89,7 @@ pub struct Stopwatch {
 }
 
 impl Default for Stopwatch {
+    #[expect(clippy::disallowed_methods, reason = "the clock of those who measure what a run costs")]
     fn default() -> Self {
         Self { wall: Instant::now(), cpu: cpu_time() }
     }
@@ -100,6 +101,13 @@ impl Stopwatch {
     pub fn elapsed(&self) -> (Duration, Option<Duration>) {
         let cpu = cpu_time().zip(self.cpu).map(|(now, then)| now.saturating_sub(then));
         (self.wall.elapsed(), cpu)
+    }
+
+    /// The same in seconds; 0 s of the processor where the system does not tell.
+    #[must_use]
+    pub fn seconds(&self) -> (f64, f64) {
+        let (wall, cpu) = self.elapsed();
+        (wall.as_secs_f64(), cpu.unwrap_or_default().as_secs_f64())
     }
 }
 

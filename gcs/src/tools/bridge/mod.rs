@@ -9,6 +9,8 @@
 //! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
 //! | [`metrics`] | `GET /metrics` | what it serves |
 
+#![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
+
 pub mod counters;
 pub mod hub;
 pub mod metrics;

@@ -3,6 +3,8 @@
 //! A program that flies has a link of its own in it ([`Hub::local`]), so whoever watches through
 //! the same program hears all that it says. Knows no message.
 
+#![expect(clippy::disallowed_methods, reason = "a shell: it has the sockets and their clock")]
+
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::future::poll_fn;
