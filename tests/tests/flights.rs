@@ -13,7 +13,9 @@ use crpl_gcs::lab;
 use crpl_gcs::lab::run;
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
+use crpl_gcs::station::pilot::crpl::Crpl;
 use crpl_gcs::station::pilot::{Controller, Pilot};
+use crpl_gcs::station::seen::MotionLimits;
 use crpl_model::planning::policy::Policies;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::vehicle::Vehicle;
@@ -199,7 +201,8 @@ fn an_untrained_policy_does_not_reach_the_goal() {
     let scenario = scenario();
     let untrained = Policies::untrained(&mut Noise::new(1).generator(Stream::Weights, 0));
     let models = models();
-    let pilot = Pilot::Crpl(untrained.into());
+    let limits = MotionLimits::of(&scenario);
+    let pilot = Pilot::Crpl(Crpl::new(untrained.into(), models.world.scale, limits));
     let mut station = Station::new(scenario.clone(), models.world.clone(), pilot);
     let mut sim = Sim::new(scenario.clone(), SEED);
     lab::fly(&mut sim, &mut station, scenario.horizon);
@@ -231,7 +234,7 @@ fn bad_input_is_refused_in_one_line() {
         refused(program, &[first, &["--config", "nowhere.toml"]].concat(), &["nowhere.toml"]);
     }
     refused("gcs", &["fly", "--connect", "udpout:nohost"], &["nohost"]);
-    refused("model", &["optimise", "--config", config], &["typo.toml", "radio"]);
+    refused("gcs", &["optimise", "--config", config], &["typo.toml", "radio"]);
 }
 
 #[test]

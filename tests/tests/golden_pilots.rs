@@ -2,9 +2,9 @@
 //! come out again. Those of RCC and UCC command by command; APC's for 19 intervals (at the 20th of Scenario
 //! 1 our beam keeps a node that the reference's does not), and in the large from there on.
 
-use crpl_gcs::station::pilot::apc;
+use crpl_gcs::station::pilot::apc::Apc;
 use crpl_gcs::station::pilot::rcc::Rcc;
-use crpl_gcs::station::pilot::reactive::Present;
+use crpl_gcs::station::pilot::reactive::{Present, Task};
 use crpl_gcs::station::pilot::ucc::Ucc;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Gate;
@@ -69,23 +69,24 @@ fn flights_of(controller: &str, count: usize, mut check: impl FnMut(&Flight, &Sc
 #[test]
 fn rcc_flies_the_reference_flights() {
     flights_of("RCC", 6, |flight, scenario| {
-        let mut rcc = Rcc::default();
-        fly_exactly(flight, scenario, |present| rcc.decide(present, scenario));
+        let mut rcc = Rcc::new(Task::of(scenario));
+        fly_exactly(flight, scenario, |present| rcc.decide(present));
     });
 }
 
 #[test]
 fn ucc_flies_the_reference_flights() {
     flights_of("UCC", 6, |flight, scenario| {
-        let mut ucc = Ucc::default();
-        fly_exactly(flight, scenario, |present| ucc.decide(present, scenario));
+        let mut ucc = Ucc::new(Task::of(scenario));
+        fly_exactly(flight, scenario, |present| ucc.decide(present));
     });
 }
 
 #[test]
 fn apc_flies_the_reference_flights() {
     flights_of("APC", 2, |flight, scenario| {
-        let last = fly(flight, scenario, 19, |present| apc::decide(present, scenario));
+        let apc = Apc::new(scenario);
+        let last = fly(flight, scenario, 19, |present| apc.decide(present));
         let d_f = (last - scenario.goal).norm();
         assert!((d_f - flight.metrics.d_f).abs() < 0.02, "{}: d_f {d_f}", flight.name());
     });

@@ -22,7 +22,9 @@ use crpl_sitl::{Scenario, Sim};
 
 use crate::station::Station;
 use crate::station::models::Models;
+use crate::station::pilot::crpl::Crpl;
 use crate::station::pilot::{Controller, Pilot};
+use crate::station::seen::MotionLimits;
 
 /// How near to a wall a flight must end to count as ended there, units: the UAV's radius.
 const AT_WALL: f64 = 0.02;
@@ -61,7 +63,7 @@ pub struct Scored {
 impl Contender {
     /// Loads what `controller` needs, once.
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
-        let pilot = models.pilot(controller, scenario)?;
+        let pilot = Pilot::load(controller, models, scenario)?;
         Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot })
     }
 
@@ -72,7 +74,11 @@ impl Contender {
             controller: Controller::Crpl,
             scenario: scenario.clone(),
             world: world.clone(),
-            pilot: Pilot::Crpl(Arc::new(policies.clone())),
+            pilot: Pilot::Crpl(Crpl::new(
+                Arc::new(policies.clone()),
+                world.scale,
+                MotionLimits::of(scenario),
+            )),
         }
     }
 

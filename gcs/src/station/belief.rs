@@ -7,13 +7,14 @@ use std::collections::BTreeMap;
 
 use crpl_model::predictor::observer::Observer;
 use crpl_model::world_model::WorldModel;
-use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
 use crpl_sitl::radio::Fates;
-use crpl_sitl::radio::message::{Held, Telemetry};
+use crpl_sitl::radio::message::Held;
 use crpl_sitl::scenario::Rule;
-use crpl_sitl::units::{Scale, Tick};
+use crpl_sitl::units::Tick;
 use nalgebra::Vector2;
+
+use super::seen::{BeliefConfig, Heard};
 
 /// Missed percepts beyond which the gap's length no longer matters: longer than any window.
 const MOST_MISSED: u64 = 100;
@@ -38,34 +39,31 @@ pub struct Belief {
     uncontrollable: Observer,
     second: Option<Observer>,
     /// Report that came with the newest picture.
-    newest: Option<Telemetry>,
+    newest: Option<Heard>,
     latents: Latents,
-    scale: Scale,
-    a_max: f64,
+    config: BeliefConfig,
     ledger: Ledger,
 }
 
 impl Belief {
-    /// Nothing seen, nothing sent. Reckons with the scenario's disturbance and speed limit.
+    /// Nothing seen, nothing sent.
     #[must_use]
-    pub fn new(world: &WorldModel, scenario: &Scenario) -> Self {
-        let window = scenario.observer.window as usize;
-        let [c, u] = world.motions(scenario.dynamics.v_max, scenario.disturbance.kick());
+    pub fn new(world: &WorldModel, config: BeliefConfig) -> Self {
+        let [c, u] = world.motions(config.limits.v_max, config.gust_std);
         Self {
-            controllable: Observer::new(c, window),
-            second: scenario.second_obstacle.is_some().then(|| Observer::new(u, window)),
-            uncontrollable: Observer::new(u, window),
+            controllable: Observer::new(c, config.window),
+            second: (config.obstacles > 1).then(|| Observer::new(u, config.window)),
+            uncontrollable: Observer::new(u, config.window),
             newest: None,
             latents: Latents::default(),
-            scale: scenario.scale,
-            a_max: scenario.dynamics.a_max,
-            ledger: Ledger::new(scenario.radio.rule),
+            ledger: Ledger::new(config.rule),
+            config,
         }
     }
 
-    /// Takes in a picture and the report that came with it.
-    pub fn observe(&mut self, world: &WorldModel, telemetry: &Telemetry, frame: &Frame) {
-        let flown = self.flown(telemetry);
+    /// Takes in a frame and what was heard with it.
+    pub fn observe(&mut self, world: &WorldModel, heard: &Heard, frame: &Frame) {
+        let flown = self.flown(heard);
         let still = vec![Vector2::zeros(); flown.len()];
         let [c, u] = match &mut self.second {
             None => world.see(frame),
@@ -87,20 +85,21 @@ impl Belief {
                 y_u_second: second.map(|u| narrow(u.y)),
             };
         }
-        self.newest = Some(*telemetry);
-        self.ledger.hear(telemetry);
+        self.newest = Some(*heard);
+        self.ledger.hear(heard);
     }
 
     /// Normalised accelerations of the intervals since the newest picture, oldest first: what the
     /// vehicle says it flew, not what was sent. A command is flown from its own tick on.
-    fn flown(&self, telemetry: &Telemetry) -> Vec<Vector2<f64>> {
+    fn flown(&self, heard: &Heard) -> Vec<Vector2<f64>> {
         let Some(before) = self.newest else { return Vec::new() };
-        let gap = telemetry.tick.0.saturating_sub(before.tick.0).min(MOST_MISSED);
-        let normalised = |held: Held| self.scale.paper_from_ned_acceleration(held.accel) / self.a_max;
-        (telemetry.tick.0 - gap..telemetry.tick.0)
+        let gap = heard.tick.0.saturating_sub(before.tick.0).min(MOST_MISSED);
+        let normalised =
+            |held: Held| self.config.scale.paper_from_ned_acceleration(held.accel) / self.config.limits.a_max;
+        (heard.tick.0 - gap..heard.tick.0)
             .map(|tick| {
-                let held = telemetry.held.filter(|held| held.tick.0 <= tick).or(before.held);
-                held.map_or(Vector2::zeros(), normalised)
+                let flown = heard.held.filter(|held| held.tick.0 <= tick).or(before.held);
+                flown.map_or(Vector2::zeros(), normalised)
             })
             .collect()
     }
@@ -155,14 +154,14 @@ impl Ledger {
     }
 
     /// The vehicle's report at the start of a tick tells of the interval before it.
-    pub fn hear(&mut self, telemetry: &Telemetry) {
-        let held = telemetry.held.map(|held| held.tick);
+    pub fn hear(&mut self, heard: &Heard) {
+        let held = heard.held.map(|held| held.tick);
         if let Some(held) = held.filter(|held| self.flown.is_none_or(|flown| *held > flown)) {
             let later = self.open.split_off(&held.next());
             let settled = std::mem::replace(&mut self.open, later);
             for (tick, fate) in settled {
                 match fate {
-                    _ if tick == held && tick.next() == telemetry.tick => self.counts.delivered += 1,
+                    _ if tick == held && tick.next() == heard.tick => self.counts.delivered += 1,
                     _ if tick == held => self.counts.delayed += 1,
                     Fate::Waiting => self.counts.superseded += 1,
                     Fate::Lost => self.counts.lost += 1,
@@ -172,8 +171,8 @@ impl Ledger {
         }
         // Rule `drop`: what was on the air in an outage is gone, unless the vehicle flies it yet.
         if self.rule == Rule::Drop
-            && telemetry.link.is_some_and(|link| link.outage)
-            && let Some((_, fate)) = self.open.range_mut(..telemetry.tick).next_back()
+            && heard.link.is_some_and(|link| link.outage)
+            && let Some((_, fate)) = self.open.range_mut(..heard.tick).next_back()
         {
             *fate = Fate::Lost;
         }
@@ -188,18 +187,15 @@ impl Ledger {
 
 #[cfg(test)]
 mod tests {
+    use crpl_sitl::Scenario;
     use crpl_sitl::radio::message::LinkReport;
     use crpl_sitl::units::TxPower;
 
     use super::*;
 
-    fn report(tick: u64, held: Option<u64>, outage: bool) -> Telemetry {
-        Telemetry {
+    fn report(tick: u64, held: Option<u64>, outage: bool) -> Heard {
+        Heard {
             tick: Tick(tick),
-            position: [0.0; 2],
-            velocity: [0.0; 2],
-            obstacle: [0.0; 2],
-            second_obstacle: None,
             held: held.map(|t| Held { tick: Tick(t), accel: [0.0; 2] }),
             link: Some(LinkReport { snr_db: 0.0, power: TxPower::Low, outage }),
         }
@@ -239,7 +235,7 @@ mod tests {
         let world = WorldModel::embedded().unwrap();
         let mut scenario = Scenario::default();
         scenario.observer.window = 10;
-        let mut belief = Belief::new(&world, &scenario);
+        let mut belief = Belief::new(&world, BeliefConfig::of(&scenario));
         let (mut r, mut v) = (Vector2::new(0.3, 0.6), Vector2::new(0.004, -0.002));
         let mut held: Option<Held> = None;
         for tick in 0..25u64 {
@@ -247,7 +243,7 @@ mod tests {
             let lost = (8..14).contains(&tick);
             if ![18, 19].contains(&tick) {
                 let frame = crpl_sitl::camera::render(r, scenario.obstacle.position, &scenario);
-                belief.observe(&world, &Telemetry { held, ..report(tick, None, lost) }, &frame);
+                belief.observe(&world, &Heard { held, ..report(tick, None, lost) }, &frame);
                 let a =
                     Vector2::new((tick as f64).sin(), (tick as f64 * 0.6).cos()) * scenario.dynamics.a_max;
                 let accel = scenario.scale.ned_from_paper_acceleration(a);
@@ -258,7 +254,7 @@ mod tests {
             r += v;
         }
         let frame = crpl_sitl::camera::render(r, scenario.obstacle.position, &scenario);
-        belief.observe(&world, &Telemetry { held, ..report(25, None, false) }, &frame);
+        belief.observe(&world, &Heard { held, ..report(25, None, false) }, &frame);
         let Latents { y_c, y_c_before, .. } = belief.latents();
         let seen = [0, 1].map(|i| f64::from(y_c[i] - y_c_before[i]) / world.scale);
         let off = (Vector2::from(seen) - v).norm();

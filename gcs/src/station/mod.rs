@@ -6,6 +6,7 @@
 pub mod belief;
 pub mod models;
 pub mod pilot;
+pub mod seen;
 
 use std::sync::Arc;
 
@@ -18,6 +19,7 @@ use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use crate::station::belief::Belief;
 use crate::station::pilot::Pilot;
+use crate::station::seen::{BeliefConfig, Heard};
 
 /// A flight in progress, seen from the ground.
 #[derive(Debug, Clone)]
@@ -36,7 +38,7 @@ impl Station {
     #[must_use]
     pub fn new(scenario: Scenario, world: Arc<WorldModel>, pilot: Pilot) -> Self {
         Self {
-            belief: Belief::new(&world, &scenario),
+            belief: Belief::new(&world, BeliefConfig::of(&scenario)),
             scenario,
             world,
             pilot,
@@ -54,8 +56,9 @@ impl Station {
             return command;
         }
         self.close(&percept.telemetry);
-        self.belief.observe(&self.world, &percept.telemetry, &percept.frame);
-        let decision = self.pilot.decide(&self.world, &self.belief, &percept.telemetry, &self.scenario);
+        let heard = Heard::from(&percept.telemetry);
+        self.belief.observe(&self.world, &heard, &percept.frame);
+        let decision = self.pilot.decide(&self.belief, &percept.telemetry, &self.scenario.scale);
         let command = self.command(percept.telemetry.tick, decision);
         self.belief.ledger_mut().send(command.tick);
         self.last = Some((percept.telemetry, command));
@@ -71,7 +74,7 @@ impl Station {
     pub fn finish(&mut self, percept: &Percept) {
         if self.last.is_some_and(|(before, _)| percept.telemetry.tick > before.tick) {
             self.close(&percept.telemetry);
-            self.belief.ledger_mut().hear(&percept.telemetry);
+            self.belief.ledger_mut().hear(&Heard::from(&percept.telemetry));
             self.last = None;
         }
     }

@@ -4,15 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use crpl_model::planning::algorithm1::{OptimiseConfig, Receding, RecedingConfig, Stage};
 use crpl_model::planning::policy::Policies;
-use crpl_model::world_model::{HeadsAt, WorldModel, checkpoint};
+use crpl_model::world_model::{WorldModel, checkpoint};
 use crpl_sitl::Scenario;
 
 use crate::station::Station;
-use crate::station::pilot::crpl_exact_latents::Memory;
-use crate::station::pilot::crpl_rh::{self, CrplRh};
-use crate::station::pilot::{Controller, Pilot, rcc, ucc};
+use crate::station::pilot::{Controller, Pilot};
 
 /// The trained things that a station needs.
 #[derive(Debug, Clone)]
@@ -33,43 +30,11 @@ impl Models {
         Ok(Self { world: Arc::new(world), policy })
     }
 
-    /// A pilot for this scenario.
-    pub fn pilot(&self, controller: Controller, scenario: &Scenario) -> Result<Pilot> {
-        Ok(match controller {
-            Controller::Crpl => Pilot::Crpl(Arc::new(self.policies(scenario)?)),
-            Controller::CrplBw => {
-                Pilot::CrplBw(Arc::new(self.policies(scenario)?), Arc::new(self.heads(scenario)))
-            }
-            Controller::CrplRh => {
-                Pilot::CrplRh(Box::new(self.receding(scenario)?), Arc::new(self.heads(scenario)))
-            }
-            Controller::CrplExactLatents => {
-                Pilot::CrplExactLatents(Arc::new(self.policies(scenario)?), Memory::default())
-            }
-            Controller::Apc => Pilot::Apc,
-            Controller::Rcc => Pilot::Rcc(rcc::Rcc::default()),
-            Controller::Ucc => Pilot::Ucc(ucc::Ucc::default()),
-        })
-    }
-
-    /// The policies with what re-optimises them.
-    fn receding(&self, scenario: &Scenario) -> Result<CrplRh> {
-        let policies = self.policies(scenario)?;
-        let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
-        let stage = Stage::of(&self.world, scenario, &config, 0)?;
-        let mut budget = RecedingConfig::default();
-        budget.lookahead.snr_min = crpl_rh::connected(scenario);
-        let receding = Receding::new(stage, config.objective, budget, policies.motion.clone());
-        Ok(CrplRh::new(receding, policies))
-    }
-
-    /// The heads, told where this scenario's base station stands.
-    fn heads(&self, scenario: &Scenario) -> HeadsAt {
-        self.world.heads_at(scenario.channel.base_station)
-    }
-
-    /// The policies, which must have been optimised in this world model's latents.
-    fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+    /// The policies for `scenario`, which must have been optimised in this world model's latents.
+    ///
+    /// # Errors
+    /// No policy for the scenario, a file that does not read, or another world model.
+    pub fn policies(&self, scenario: &Scenario) -> Result<Policies> {
         let policies = self.read_policies(scenario)?;
         let here = checkpoint::fingerprint(&self.world)?;
         if policies.world != here {
@@ -99,6 +64,6 @@ impl Models {
 
     /// A station that flies `controller`.
     pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
-        Ok(Station::new(scenario.clone(), self.world.clone(), self.pilot(controller, scenario)?))
+        Ok(Station::new(scenario.clone(), self.world.clone(), Pilot::load(controller, self, scenario)?))
     }
 }

@@ -35,12 +35,25 @@ struct Node {
     first: Motion,
 }
 
-/// Motion and power for the interval that begins. Sees the present state and, as the oracle, the
-/// equations, which are the scenario.
-#[must_use]
-pub fn decide(now: &Present, scenario: &Scenario) -> (Motion, TxPower) {
-    let motion = search(now, scenario);
-    (motion, power(now, motion, scenario))
+/// The oracle, with the equations, which are the scenario.
+#[derive(Debug, Clone)]
+pub struct Apc {
+    scenario: Scenario,
+}
+
+impl Apc {
+    /// The oracle of `scenario`.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        Self { scenario: scenario.clone() }
+    }
+
+    /// Motion and power for the interval that begins.
+    #[must_use]
+    pub fn decide(&self, now: &Present) -> (Motion, TxPower) {
+        let motion = search(now, &self.scenario);
+        (motion, power(now, motion, &self.scenario))
+    }
 }
 
 fn search(now: &Present, scenario: &Scenario) -> Motion {

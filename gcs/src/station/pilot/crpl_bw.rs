@@ -6,45 +6,74 @@
 //! interval, and with a sharp outage (α → ∞) that choice is a threshold in the predicted gain. No
 //! training run, for any bandwidth, packet and noise power.
 
-use crpl_model::planning::policy::Policies;
-use crpl_model::world_model::{HeadsAt, WorldModel};
-use crpl_sitl::Scenario;
+use std::sync::Arc;
+
+use crpl_model::world_model::HeadsAt;
 use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::channel::outage_snr;
 
-use super::crpl;
+use super::crpl::Crpl;
 use crate::station::belief::Latents;
+use crate::station::seen::RadioConstants;
 
 /// Factor on the SNR that is needed: what the channel head may be wrong by (our choice).
 pub const HEADROOM: f64 = 1.08;
 
-/// The motion of π_s; the smallest power that carries the packet. Sees latents alone; the scenario
-/// lends the radio's own constants.
-#[must_use]
-pub fn decide(
-    policies: &Policies,
-    heads: &HeadsAt,
-    world: &WorldModel,
-    now: Latents,
-    scenario: &Scenario,
-) -> (Motion, TxPower) {
-    let (motion, _) = crpl::decide(policies, world, now, scenario);
-    (motion, power(snr_at_low(heads, now, scenario), needed(scenario.radio.packet_bits, scenario)))
+/// π_s, and the power of stage 2 solved for this radio.
+#[derive(Debug, Clone)]
+pub struct CrplBw {
+    crpl: Crpl,
+    power: MatchedPower,
 }
 
-/// γ at a_p = 1 as the channel head predicts it for this interval.
-#[must_use]
-pub fn snr_at_low(heads: &HeadsAt, now: Latents, scenario: &Scenario) -> f64 {
-    let gain = |y_u: [f32; 2]| f64::from(heads.log_gain(now.y_c, y_u)).exp();
-    // Of two obstacles the one that blocks more.
-    let gain = now.y_u_second.map_or(f64::INFINITY, gain).min(gain(now.y_u));
-    gain * TxPower::Low.level() / scenario.channel.noise_power
+impl CrplBw {
+    /// CRPL's motion with matched power.
+    #[must_use]
+    pub fn new(crpl: Crpl, power: MatchedPower) -> Self {
+        Self { crpl, power }
+    }
+
+    /// The motion of π_s; the smallest power that carries the packet.
+    #[must_use]
+    pub fn decide(&self, now: Latents) -> (Motion, TxPower) {
+        let (motion, _) = self.crpl.decide(now);
+        (motion, self.power.decide(now))
+    }
 }
 
-/// max(γ_min, γ_out) for a packet of `bits`.
+/// The smallest transmit power that carries a packet, as the channel head predicts.
+#[derive(Debug, Clone)]
+pub struct MatchedPower {
+    heads: Arc<HeadsAt>,
+    radio: RadioConstants,
+}
+
+impl MatchedPower {
+    /// For the channel head of one base station and its radio.
+    #[must_use]
+    pub fn new(heads: Arc<HeadsAt>, radio: RadioConstants) -> Self {
+        Self { heads, radio }
+    }
+
+    /// The power for this interval.
+    #[must_use]
+    pub fn decide(&self, now: Latents) -> TxPower {
+        power(self.snr_at_low(now), needed(&self.radio))
+    }
+
+    /// γ at a_p = 1 as the channel head predicts it for this interval, linear.
+    fn snr_at_low(&self, now: Latents) -> f64 {
+        let gain = |y_u: [f32; 2]| f64::from(self.heads.log_gain(now.y_c, y_u)).exp();
+        // Of two obstacles the one that blocks more.
+        let gain = now.y_u_second.map_or(f64::INFINITY, gain).min(gain(now.y_u));
+        gain * TxPower::Low.level() / self.radio.noise_power
+    }
+}
+
+/// max(γ_min, γ_out) for this radio's packet, linear.
 #[must_use]
-pub fn needed(bits: f64, scenario: &Scenario) -> f64 {
-    scenario.channel.snr_min.max(outage_snr(scenario.radio.b_dt, bits).0)
+pub fn needed(radio: &RadioConstants) -> f64 {
+    radio.snr_min.max(outage_snr(radio.b_dt, radio.packet_bits).0)
 }
 
 /// High where low power does not reach `needed` and high power may: the minimiser of stage 2.
@@ -61,12 +90,11 @@ mod tests {
 
     #[test]
     fn the_smallest_power_that_carries_the_packet() {
-        let mut scenario = Scenario::default();
-        scenario.radio.b_dt = 2.0;
+        let mut radio = RadioConstants { b_dt: 2.0, packet_bits: 4.0, noise_power: 1.0, snr_min: 1.0 };
         // 2^(4/2) - 1 = 3
-        assert!((needed(4.0, &scenario) - 3.0).abs() < 1e-12);
-        scenario.radio.b_dt = 8.0;
-        assert_eq!(needed(4.0, &scenario), scenario.channel.snr_min);
+        assert!((needed(&radio) - 3.0).abs() < 1e-12);
+        radio.b_dt = 8.0;
+        assert_eq!(needed(&radio), radio.snr_min);
         for (snr, want) in [(4.0, TxPower::Low), (3.1, TxPower::High), (0.76, TxPower::High)] {
             assert_eq!(power(snr, 3.0), want, "snr {snr}");
         }

@@ -1,12 +1,37 @@
 //! Latents without an encoder: what the pictures of the true positions would give if encoding had no
 //! error. CRPL on them shows, beside CRPL on pictures, what the encoder costs in closed loop.
 
+use std::sync::Arc;
+
 use crpl_model::world_model::WorldModel;
+use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::obstacles::Obstacles;
 use nalgebra::Vector2;
 
+use super::crpl::Crpl;
 use super::reactive::Present;
 use crate::station::belief::Latents;
+
+/// CRPL that sees true positions. For measurements alone.
+#[derive(Debug, Clone)]
+pub struct CrplExactLatents {
+    crpl: Crpl,
+    world: Arc<WorldModel>,
+    memory: Memory,
+}
+
+impl CrplExactLatents {
+    /// CRPL on the exact latents of `world`.
+    #[must_use]
+    pub fn new(crpl: Crpl, world: Arc<WorldModel>) -> Self {
+        Self { crpl, world, memory: Memory::default() }
+    }
+
+    /// The executed actions of π_s and π_p.
+    pub fn decide(&mut self, now: &Present) -> (Motion, TxPower) {
+        self.crpl.decide(self.memory.latents(&self.world, now))
+    }
+}
 
 /// y_c of the interval before: M = 2.
 #[derive(Debug, Clone, Default)]

@@ -5,25 +5,38 @@
 //! What it gains on a policy that was optimised once: it plans for the gusts that there were, and for
 //! obstacles that move, one or two, whose speed it reads from the pictures.
 
-use crpl_model::planning::algorithm1::{Here, Receding};
+use anyhow::Result;
+use crpl_model::planning::algorithm1::{Here, OptimiseConfig, Receding, RecedingConfig, Stage};
 use crpl_model::planning::policy::{Policies, features};
-use crpl_model::world_model::{HeadsAt, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
-use super::crpl_bw::{needed, power, snr_at_low};
+use super::crpl_bw::{MatchedPower, needed};
 use super::track::Track;
 use crate::station::belief::Latents;
+use crate::station::models::Models;
+use crate::station::seen::{MotionLimits, RadioConstants};
 
 /// Share of the SNR that a packet needs at which a lookahead counts as connected: its smooth outage of
 /// slope 3 is one half there and a quarter at the SNR itself (our choice).
 const SOFT: f64 = 0.75;
 
-/// γ that counts as connected in a lookahead, given that crpl-bw's power follows the bandwidth.
-#[must_use]
-pub fn connected(scenario: &Scenario) -> f64 {
-    let snr_min = scenario.channel.snr_min;
-    snr_min.max(SOFT * needed(scenario.radio.packet_bits, scenario))
+/// γ that counts as connected in a lookahead, given that the power follows the bandwidth; linear.
+fn connected(radio: &RadioConstants) -> f64 {
+    radio.snr_min.max(SOFT * needed(radio))
+}
+
+/// Algorithm 1 in flight, with one start and the lookahead's threshold of this radio. `scenario` is the
+/// planning problem as Algorithm 1 has it before a flight; nothing of it is read in flight.
+///
+/// # Errors
+/// Policies that the heads of the world model do not fit.
+pub fn receding(models: &Models, scenario: &Scenario, policies: &Policies) -> Result<Receding> {
+    let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
+    let stage = Stage::of(&models.world, scenario, &config, 0)?;
+    let mut budget = RecedingConfig::default();
+    budget.lookahead.snr_min = connected(&RadioConstants::of(scenario));
+    Ok(Receding::new(stage, config.objective, budget, policies.motion.clone()))
 }
 
 /// The policy under way, and where the obstacles were.
@@ -31,37 +44,50 @@ pub fn connected(scenario: &Scenario) -> f64 {
 pub struct CrplRh {
     receding: Receding,
     policies: Policies,
+    power: MatchedPower,
+    latent_scale: f32,
+    v_max: f32,
+    horizon: u64,
     first: Track,
     second: Track,
 }
 
 impl CrplRh {
-    /// Takes off with `policies`, of which `receding` has the motion.
+    /// Starts with `policies`, whose motion policy `receding` re-optimises over the rest of `horizon`
+    /// intervals. `latent_scale` is S, latent units per unit of length.
     #[must_use]
-    pub fn new(receding: Receding, policies: Policies) -> Self {
-        Self { receding, policies, first: Track::default(), second: Track::default() }
+    pub fn new(
+        receding: Receding,
+        policies: Policies,
+        power: MatchedPower,
+        latent_scale: f64,
+        limits: MotionLimits,
+        horizon: u64,
+    ) -> Self {
+        Self {
+            receding,
+            policies,
+            power,
+            latent_scale: latent_scale as f32,
+            v_max: limits.v_max as f32,
+            horizon,
+            first: Track::default(),
+            second: Track::default(),
+        }
     }
 
-    /// Motion and power for the interval that begins. Sees latents and the time; the scenario lends
-    /// the horizon, v_max and the radio's own constants.
-    pub fn decide(
-        &mut self,
-        tick: Tick,
-        heads: &HeadsAt,
-        world: &WorldModel,
-        now: Latents,
-        scenario: &Scenario,
-    ) -> (Motion, TxPower) {
+    /// Motion and power for interval `tick`.
+    pub fn decide(&mut self, tick: Tick, now: Latents) -> (Motion, TxPower) {
         let here = self.here(tick, now);
-        let remaining = scenario.horizon.saturating_sub(tick.0) as usize;
+        let remaining = self.horizon.saturating_sub(tick.0) as usize;
         self.receding.at(tick.0, &here, remaining);
         let motion = self.receding.better(&here, remaining).unwrap_or_else(|| {
             self.policies.motion.clone_from(self.receding.motion());
-            let v_max = scenario.dynamics.v_max as f32;
-            let x = features(now.y_c, now.y_c_before, self.receding.told(), world.scale as f32, v_max);
+            let told = self.receding.told();
+            let x = features(now.y_c, now.y_c_before, told, self.latent_scale, self.v_max);
             Motion::nearest(self.policies.mean_motion(&x))
         });
-        (motion, power(snr_at_low(heads, now, scenario), needed(scenario.radio.packet_bits, scenario)))
+        (motion, self.power.decide(now))
     }
 
     /// The belief to plan from: the obstacles with their speeds.

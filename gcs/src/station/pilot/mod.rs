@@ -1,4 +1,16 @@
-//! Who decides: one controller a file, and one `match` that hands out what each may see.
+//! The controllers: one file each, and one `match` that hands out what each may see.
+//!
+//! | controller | before the flight | at every interval |
+//! |---|---|---|
+//! | [`crpl`] | policies, limits of motion | latents |
+//! | [`crpl_bw`] | the same, channel head, radio constants | latents |
+//! | [`crpl_rh`] | the same, Algorithm 1's planning problem, horizon | tick, latents |
+//! | [`crpl_exact_latents`] | as `crpl` | true present state (for measurements) |
+//! | [`apc`] | the whole scenario: the oracle knows the equations | true present state |
+//! | [`rcc`], [`ucc`] | goal, limits, safety, radii, γ_min | true present state, last measured SNR |
+//!
+//! To add a controller: its file, and here a variant of [`Controller`], of [`Pilot`], and one arm each in
+//! [`Pilot::load`] and [`Pilot::decide`].
 
 pub mod apc;
 pub mod crpl;
@@ -12,15 +24,16 @@ pub mod ucc;
 
 use std::sync::Arc;
 
+use anyhow::Result;
 use clap::ValueEnum;
-use crpl_model::planning::policy::Policies;
-use crpl_model::world_model::{HeadsAt, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::Telemetry;
-use crpl_sitl::units::{Motion, TxPower};
+use crpl_sitl::units::{Motion, Scale, TxPower};
 use serde::{Deserialize, Serialize};
 
 use crate::station::belief::Belief;
+use crate::station::models::Models;
+use crate::station::seen::{Heard, MotionLimits, RadioConstants};
 use reactive::Present;
 
 /// The controllers by name.
@@ -45,61 +58,76 @@ pub enum Controller {
 
 impl std::fmt::Display for Controller {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Crpl => "crpl",
-            Self::CrplBw => "crpl-bw",
-            Self::CrplExactLatents => "crpl-exact-latents",
-            Self::CrplRh => "crpl-rh",
-            Self::Apc => "apc",
-            Self::Rcc => "rcc",
-            Self::Ucc => "ucc",
-        })
+        f.write_str(self.to_possible_value().as_ref().map_or("", |value| value.get_name()))
     }
 }
 
 /// A controller with its state.
 #[derive(Debug, Clone)]
 pub enum Pilot {
-    /// Sees pictures, through the world model.
-    Crpl(Arc<Policies>),
-    /// As CRPL, and knows the radio's constants.
-    CrplBw(Arc<Policies>, Arc<HeadsAt>),
-    /// Sees true positions, and would be CRPL if the encoder had no error. For measurements alone.
-    CrplExactLatents(Arc<Policies>, crpl_exact_latents::Memory),
-    /// As CRPL, and knows the time, the horizon and the radio's constants.
-    CrplRh(Box<crpl_rh::CrplRh>, Arc<HeadsAt>),
-    /// Sees present telemetry and the equations.
-    Apc,
-    /// Sees present telemetry.
+    /// See [`crpl`].
+    Crpl(crpl::Crpl),
+    /// See [`crpl_bw`].
+    CrplBw(crpl_bw::CrplBw),
+    /// See [`crpl_exact_latents`].
+    CrplExactLatents(crpl_exact_latents::CrplExactLatents),
+    /// See [`crpl_rh`].
+    CrplRh(Box<crpl_rh::CrplRh>),
+    /// See [`apc`].
+    Apc(Box<apc::Apc>),
+    /// See [`rcc`].
     Rcc(rcc::Rcc),
-    /// Sees present telemetry.
+    /// See [`ucc`].
     Ucc(ucc::Ucc),
 }
 
 impl Pilot {
-    /// Motion and power for the interval that begins.
-    pub fn decide(
-        &mut self,
-        world: &WorldModel,
-        belief: &Belief,
-        telemetry: &Telemetry,
-        scenario: &Scenario,
-    ) -> (Motion, TxPower) {
+    /// A controller for `scenario`. Here the scenario is taken apart: each controller keeps only what its
+    /// constructor names.
+    ///
+    /// # Errors
+    /// Policies that are missing, or made in another world model.
+    pub fn load(controller: Controller, models: &Models, scenario: &Scenario) -> Result<Self> {
+        let (limits, radio) = (MotionLimits::of(scenario), RadioConstants::of(scenario));
+        let crpl = || -> Result<_> {
+            Ok(crpl::Crpl::new(Arc::new(models.policies(scenario)?), models.world.scale, limits))
+        };
+        let power = || {
+            let heads = models.world.heads_at(scenario.channel.base_station);
+            crpl_bw::MatchedPower::new(Arc::new(heads), radio)
+        };
+        Ok(match controller {
+            Controller::Crpl => Self::Crpl(crpl()?),
+            Controller::CrplBw => Self::CrplBw(crpl_bw::CrplBw::new(crpl()?, power())),
+            Controller::CrplRh => {
+                let policies = models.policies(scenario)?;
+                let receding = crpl_rh::receding(models, scenario, &policies)?;
+                let (scale, horizon) = (models.world.scale, scenario.horizon);
+                let crpl = crpl_rh::CrplRh::new(receding, policies, power(), scale, limits, horizon);
+                Self::CrplRh(Box::new(crpl))
+            }
+            Controller::CrplExactLatents => {
+                let world = models.world.clone();
+                Self::CrplExactLatents(crpl_exact_latents::CrplExactLatents::new(crpl()?, world))
+            }
+            Controller::Apc => Self::Apc(Box::new(apc::Apc::new(scenario))),
+            Controller::Rcc => Self::Rcc(rcc::Rcc::new(reactive::Task::of(scenario))),
+            Controller::Ucc => Self::Ucc(ucc::Ucc::new(reactive::Task::of(scenario))),
+        })
+    }
+
+    /// Motion and power for the interval that begins. The only place that hands out information: `belief`
+    /// comes from frames, `telemetry` holds the true state, `scale` converts it to the paper's units.
+    pub fn decide(&mut self, belief: &Belief, telemetry: &Telemetry, scale: &Scale) -> (Motion, TxPower) {
+        let present = || Present::of(telemetry, scale);
         match self {
-            Self::Crpl(policies) => crpl::decide(policies, world, belief.latents(), scenario),
-            Self::CrplBw(policies, heads) => {
-                crpl_bw::decide(policies, heads, world, belief.latents(), scenario)
-            }
-            Self::CrplExactLatents(policies, memory) => {
-                let now = memory.latents(world, &Present::of(telemetry, scenario));
-                crpl::decide(policies, world, now, scenario)
-            }
-            Self::CrplRh(crpl, heads) => {
-                crpl.decide(telemetry.tick, heads, world, belief.latents(), scenario)
-            }
-            Self::Apc => apc::decide(&Present::of(telemetry, scenario), scenario),
-            Self::Rcc(rcc) => rcc.decide(&Present::of(telemetry, scenario), scenario),
-            Self::Ucc(ucc) => ucc.decide(&Present::of(telemetry, scenario), scenario),
+            Self::Crpl(crpl) => crpl.decide(belief.latents()),
+            Self::CrplBw(crpl) => crpl.decide(belief.latents()),
+            Self::CrplRh(crpl) => crpl.decide(Heard::from(telemetry).tick, belief.latents()),
+            Self::CrplExactLatents(crpl) => crpl.decide(&present()),
+            Self::Apc(apc) => apc.decide(&present()),
+            Self::Rcc(rcc) => rcc.decide(&present()),
+            Self::Ucc(ucc) => ucc.decide(&present()),
         }
     }
 }

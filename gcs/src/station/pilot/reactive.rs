@@ -3,10 +3,14 @@
 
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::Telemetry;
-use crpl_sitl::units::{Motion, Snr, TxPower};
+use crpl_sitl::scenario::Safety;
+use crpl_sitl::units::{Motion, Scale, Snr, TxPower};
 use crpl_sitl::world::dynamics::limit_speed;
 use crpl_sitl::world::obstacles::Obstacles;
+use crpl_sitl::world::safety;
 use nalgebra::Vector2;
+
+use crate::station::seen::MotionLimits;
 
 /// All that a reactive controller may see: the present state, and the radio one interval ago.
 /// Paper units.
@@ -25,8 +29,7 @@ pub struct Present {
 impl Present {
     /// From the vehicle's report.
     #[must_use]
-    pub fn of(telemetry: &Telemetry, scenario: &Scenario) -> Self {
-        let scale = &scenario.scale;
+    pub fn of(telemetry: &Telemetry, scale: &Scale) -> Self {
         Self {
             r: scale.paper_from_ned(telemetry.position),
             v: scale.paper_from_ned_velocity(telemetry.velocity),
@@ -36,23 +39,65 @@ impl Present {
     }
 }
 
+/// What a reactive controller is told before a flight. Paper units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Task {
+    /// r_g
+    pub goal: Vector2<f64>,
+    /// Limits of the UAV's motion.
+    pub limits: MotionLimits,
+    /// Collision probability and its tolerance.
+    pub safety: Safety,
+    /// γ_min, linear.
+    pub snr_min: f64,
+    /// R_u, units.
+    pub uav_radius: f64,
+    /// R_o of each obstacle, units.
+    pub obstacle_radii: Vec<f64>,
+}
+
+impl Task {
+    /// That of a scenario.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        let obstacles = std::iter::once(&scenario.obstacle).chain(&scenario.second_obstacle);
+        Self {
+            goal: scenario.goal,
+            limits: MotionLimits::of(scenario),
+            safety: scenario.safety.clone(),
+            snr_min: scenario.channel.snr_min,
+            uav_radius: scenario.uav_radius,
+            obstacle_radii: obstacles.map(|o| o.radius).collect(),
+        }
+    }
+
+    /// Boundary distance between a UAV at `r` and the nearest obstacle, units.
+    fn clearance(&self, r: Vector2<f64>, obstacles: &Obstacles) -> f64 {
+        std::iter::once(obstacles.first)
+            .chain(obstacles.second)
+            .zip(&self.obstacle_radii)
+            .map(|(centre, radius)| safety::clearance(r, centre, self.uav_radius, *radius))
+            .fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// PD wish: (0.03 (r_g - r) - 0.24 v)/a_max, scaled so that no component exceeds 1 (our choice).
 #[must_use]
-pub fn pd(now: &Present, scenario: &Scenario) -> Vector2<f64> {
-    let a = (0.03 * (scenario.goal - now.r) - 0.24 * now.v) / scenario.dynamics.a_max;
+pub fn pd(now: &Present, task: &Task) -> Vector2<f64> {
+    let a = (0.03 * (task.goal - now.r) - 0.24 * now.v) / task.limits.a_max;
     a / a.amax().max(1.0)
 }
 
 /// The action nearest to the PD wish among those that keep `least` clearance for `steps` intervals
 /// at the speed they lead to; if none does, the one that keeps most. Walls are not looked at.
 #[must_use]
-pub fn look_ahead(now: &Present, steps: u32, least: f64, scenario: &Scenario) -> Motion {
-    let wish = pd(now, scenario);
+pub fn look_ahead(now: &Present, steps: u32, least: f64, task: &Task) -> Motion {
+    let wish = pd(now, task);
     let score = |motion: Motion| {
         let a = motion.vector();
-        let v = limit_speed(now.v + scenario.dynamics.a_max * a, scenario.dynamics.v_max);
+        let v = limit_speed(now.v + task.limits.a_max * a, task.limits.v_max);
         let margin = (1..=steps)
-            .map(|j| now.obstacles.clearance(now.r + f64::from(j) * v, scenario))
+            .map(|j| task.clearance(now.r + f64::from(j) * v, &now.obstacles))
             .fold(f64::INFINITY, f64::min);
         let cost = (a - wish).norm_squared();
         if margin >= least { cost } else { 100.0 - 100.0 * margin + 0.001 * cost }

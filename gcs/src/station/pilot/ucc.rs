@@ -1,10 +1,9 @@
 //! UCC, the unconstrained communication controller: a geometric margin instead of a probabilistic
 //! constraint, power by the SNR that was measured. Sees the present alone.
 
-use crpl_sitl::Scenario;
 use crpl_sitl::units::{Motion, TxPower};
 
-use super::reactive::{Present, Trigger, look_ahead};
+use super::reactive::{Present, Task, Trigger, look_ahead};
 
 /// How far it extrapolates, intervals (our choice).
 const STEPS: u32 = 8;
@@ -13,15 +12,22 @@ const STEPS: u32 = 8;
 const MARGIN: f64 = 0.028;
 
 /// UCC with its power trigger.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Ucc {
+    task: Task,
     trigger: Trigger,
 }
 
 impl Ucc {
+    /// The controller of `task`, at low power.
+    #[must_use]
+    pub fn new(task: Task) -> Self {
+        Self { task, trigger: Trigger::default() }
+    }
+
     /// Motion and power for the interval that begins.
-    pub fn decide(&mut self, now: &Present, scenario: &Scenario) -> (Motion, TxPower) {
-        let power = self.trigger.next(now.link, scenario.channel.snr_min);
-        (look_ahead(now, STEPS, MARGIN, scenario), power)
+    pub fn decide(&mut self, now: &Present) -> (Motion, TxPower) {
+        let power = self.trigger.next(now.link, self.task.snr_min);
+        (look_ahead(now, STEPS, MARGIN, &self.task), power)
     }
 }
