@@ -8,6 +8,7 @@ use crpl_model::planning::algorithm1::{OptimiseConfig, Receding, RecedingConfig,
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::{HeadsAt, WorldModel, checkpoint};
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::COLOURS;
 
 use crate::station::Station;
 use crate::station::pilot::crpl_exact_latents::Memory;
@@ -68,8 +69,17 @@ impl Models {
         self.world.heads_at(scenario.channel.base_station)
     }
 
-    /// The policies, which must have been optimised in this world model's latents.
+    /// The policies, which must have been optimised in this world model's latents, for a scenario whose
+    /// obstacles the frame tells apart.
     fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+        let count = scenario.obstacles.len();
+        if !(1..=COLOURS).contains(&count) {
+            bail!(
+                "scenario {:?} has {count} obstacles; a crpl controller sees them in the frame's colours, \
+                 which tell 1 to {COLOURS} apart: apc, rcc and ucc fly with any number",
+                scenario.name
+            );
+        }
         let policies = self.read_policies(scenario)?;
         let here = checkpoint::fingerprint(&self.world)?;
         if policies.world != here {
@@ -87,7 +97,7 @@ impl Models {
             return Ok(Policies::load(path)?);
         }
         let number = scenario.number().with_context(|| {
-            let o = scenario.obstacle.position;
+            let o = scenario.obstacle().position;
             format!(
                 "no shipped policy knows an obstacle at ({}, {}): train one with `gcs optimise \
                  --scenario-file` and give it by --policy",

@@ -17,5 +17,5 @@ pub fn decide(
     scenario: &Scenario,
 ) -> (Motion, TxPower) {
     let v_max = scenario.dynamics.v_max as f32;
-    policies.act(&features(now.y_c, now.y_c_before, now.y_u, world.scale as f32, v_max))
+    policies.act(&features(now.y_c, now.y_c_before, now.first_y_u(), world.scale as f32, v_max))
 }

@@ -31,15 +31,14 @@ pub fn connected(scenario: &Scenario) -> f64 {
 pub struct CrplRh {
     receding: Receding,
     policies: Policies,
-    first: Track,
-    second: Track,
+    tracks: Vec<Track>,
 }
 
 impl CrplRh {
     /// Takes off with `policies`, of which `receding` has the motion.
     #[must_use]
     pub fn new(receding: Receding, policies: Policies) -> Self {
-        Self { receding, policies, first: Track::default(), second: Track::default() }
+        Self { receding, policies, tracks: Vec::new() }
     }
 
     /// Motion and power for the interval that begins. Sees latents and the time; the scenario lends
@@ -66,11 +65,11 @@ impl CrplRh {
 
     /// The belief to plan from: the obstacles with their speeds.
     fn here(&mut self, tick: Tick, now: Latents) -> Here {
-        self.first.follow(tick, now.y_u);
-        let second = now.y_u_second.map(|y_u| {
-            self.second.follow(tick, y_u);
-            self.second.last_two(y_u)
+        self.tracks.resize_with(now.y_u.len(), Track::default);
+        let followed = self.tracks.iter_mut().zip(now.y_u.iter()).map(|(track, y_u)| {
+            track.follow(tick, *y_u);
+            track.last_two(*y_u)
         });
-        Here { y_c: [now.y_c, now.y_c_before], y_u: self.first.last_two(now.y_u), second }
+        Here { y_c: [now.y_c, now.y_c_before], y_u: followed.collect() }
     }
 }
