@@ -42,7 +42,7 @@ fn shares(models: &Models, scenario: &Scenario) {
             .iter()
             .map(|record| {
                 let mut there = scenario.clone();
-                (there.start, there.obstacle.position) = (record.r, record.obstacle);
+                (there.start, there.obstacles[0].position) = (record.r, record.obstacles[0]);
                 Sim::new(there, 0)
             })
             .collect();

@@ -27,8 +27,8 @@ fn garbage() -> Scenario {
     garbage.goal_radius = 0.31;
     garbage.uav_radius = 0.013;
     garbage.horizon = 7;
-    garbage.obstacle.position = Vector2::new(0.9, 0.9);
-    garbage.obstacle.radius = 0.03;
+    garbage.obstacles[0].position = Vector2::new(0.9, 0.9);
+    garbage.obstacles[0].radius = 0.03;
     garbage.channel.base_station = Vector2::new(0.01, 0.99);
     garbage.channel.reference_gain = 17.0;
     garbage.channel.path_loss_exponent = 3.3;
@@ -50,7 +50,7 @@ fn blinded(percept: &Percept) -> Percept {
     let noise = percept.telemetry.tick.0 as f32;
     blinded.telemetry.position = [noise * 13.7, f32::NAN];
     blinded.telemetry.velocity = [f32::INFINITY, -noise];
-    blinded.telemetry.obstacle = [f32::NAN, 1e30];
+    blinded.telemetry.obstacles = [[f32::NAN, 1e30]].into();
     blinded
 }
 

@@ -13,7 +13,7 @@ use nalgebra::Vector2;
 fn main() {
     let model = WorldModel::embedded().expect("the shipped checkpoint reads");
     let scenario = Scenario::default();
-    let frame = crpl_sitl::camera::render(Vector2::new(0.31, 0.62), scenario.obstacle.position, &scenario);
+    let frame = crpl_sitl::camera::render(Vector2::new(0.31, 0.62), scenario.obstacle().position, &scenario);
     rate::rate("encode, flight path", "frames", 1, || {
         black_box(model.encode(black_box(&frame)));
     });

@@ -13,11 +13,11 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let plant = plant(limits, &mut rng);
     let mut draws = draws(2, 20, &mut rng);
-    if obstacles == 2 {
-        // Beside the first, and on its way elsewhere.
+    // Beside the first, and on their way elsewhere.
+    for n in 1..obstacles as u8 {
         draws.iter_mut().for_each(|d| {
-            let moved = |by: f32| d.obstacle[0].map(|y| y.map(|v| 0.8 * v + by));
-            d.second = Some([moved(1.0), moved(0.9)]);
+            let moved = |by: f32| d.obstacles[0][0].map(|y| y.map(|v| 0.8 * v + by));
+            d.obstacles.push([moved(f32::from(n)), moved(0.9 * f32::from(n))]);
         });
     }
     // A barrier that is felt: tolerances wide enough that both logarithms are proper.
@@ -50,7 +50,7 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
 #[test]
 fn gradient_agrees_with_finite_differences() {
     for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
-        for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2)]) {
+        for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2), (seed, 3)]) {
             let (exact, differences) = slope_by_differences(limits, seed, obstacles);
             let error = (exact - differences).abs() / differences.abs().max(1e-3);
             let at = format!("{limits:?}, seed {seed}, {obstacles} obstacles");
@@ -67,7 +67,8 @@ fn a_second_obstacle_on_the_first_ones_place_adds_risk_and_no_shadow() {
     let motion = Policies::untrained(&mut rng).motion;
     let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
     let (_, one) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
-    draws[0].second = Some(draws[0].obstacle);
+    let first = draws[0].obstacles[0];
+    draws[0].obstacles.push(first);
     let (_, two) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
     assert_eq!((&one.cost, &one.comm), (&two.cost, &two.comm));
     assert!(one.safe.iter().zip(&two.safe).all(|(one, two)| two < one));

@@ -33,7 +33,7 @@ fn a_disc_that_the_frame_cuts_is_seen_where_it_is() {
     // The trap itself: a UAV past the goal must never be seen short of it.
     for step in 0..=10 {
         let x = 0.90 + 0.01 * f64::from(step);
-        let scene = Scene { uav: [x, 0.5].into(), obstacle: scenario.obstacle.position };
+        let scene = Scene { uav: [x, 0.5].into(), obstacle: scenario.obstacle().position };
         let seen = model.uav(&model.encode(&scene.frame(&scenario)));
         assert!((seen.x - x).abs() < 0.01, "at {x} seen at {}", seen.x);
     }

@@ -20,7 +20,7 @@ fn main() {
         rate::rate(&format!("camera, {place}"), "frames", 1, || {
             k = (k + 1) % 1000;
             let r = start + Vector2::new(3.7e-6, 5.3e-6) * f64::from(k);
-            black_box(render(black_box(r), scenario.obstacle.position, &scenario));
+            black_box(render(black_box(r), scenario.obstacle().position, &scenario));
         });
     }
 }

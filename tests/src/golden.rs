@@ -87,7 +87,7 @@ impl Params {
             uav_radius: self.R_u,
             ..Scenario::default()
         };
-        s.obstacle.radius = self.R_o;
+        s.obstacles[0].radius = self.R_o;
         s.dynamics.v_max = self.v_max;
         s.dynamics.a_max = self.a_max;
         s.dynamics.walls = self.walls;
@@ -182,7 +182,7 @@ impl Flight {
     #[must_use]
     pub fn scenario(&self, params: &Params) -> Scenario {
         let mut scenario = params.scenario();
-        scenario.obstacle.position = vector(self.r_u);
+        scenario.obstacles[0].position = vector(self.r_u);
         scenario.radio.b_dt = self.B_dt;
         scenario.disturbance.sigma_c = self.sigma_c;
         scenario

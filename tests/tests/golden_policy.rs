@@ -75,14 +75,14 @@ fn check(name: &str) {
 
     // The true state in place of the latent one: a latent scale of 1 and the square's middle as origin.
     let mut scenario = Scenario::default();
-    scenario.obstacle.position = vector(file.r_u);
+    scenario.obstacles[0].position = vector(file.r_u);
     let centred = |r: Vector2<f64>, scale: f64| [(scale * (r.x - 0.5)) as f32, (scale * (r.y - 0.5)) as f32];
     let mut world = World::new(&scenario);
     let mut before = world.uav.r;
     for (k, level) in file.a_p.iter().enumerate() {
         let r = world.uav.r;
         assert_vector_close(r, file.trajectory[k], 1e-9, &format!("{name}, step {k}"));
-        let obstacle = centred(world.obstacle.r, 4.0);
+        let obstacle = centred(world.obstacles()[0], 4.0);
         let x =
             features(centred(r, 1.0), centred(before, 1.0), obstacle, 1.0, scenario.dynamics.v_max as f32);
         let (motion, power) = policies.act(&x);

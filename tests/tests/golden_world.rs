@@ -62,7 +62,7 @@ fn channel_and_safety() {
     assert!(table.cases.len() >= 100, "{} cases", table.cases.len());
     let s = table.params.scenario();
     for (i, case) in table.cases.iter().enumerate() {
-        let (uav, obstacle, radius) = (vector(case.r), vector(case.r_u), s.obstacle.radius);
+        let (uav, obstacle, radius) = (vector(case.r), vector(case.r_u), s.obstacle().radius);
         let gain = channel::gain(uav, obstacle, radius, &s.channel);
         let clearance = safety::clearance(uav, obstacle, s.uav_radius, radius);
         for (what, got, want) in [
@@ -219,8 +219,7 @@ fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
             flown: vector(held),
             r_next: world.uav.r,
             v_next: world.uav.v,
-            obstacle: world.obstacle.r,
-            second_obstacle: None,
+            obstacles: world.obstacles(),
             p_coll,
         });
     }

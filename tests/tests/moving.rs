@@ -1,5 +1,5 @@
-//! Obstacles that move, one and two: CRPL in receding horizon copes with them from pictures alone, in
-//! process and over UDP.
+//! Obstacles that move, one to three: CRPL in receding horizon copes with two from pictures alone, in
+//! process and over UDP; a third one is a TOML.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
 
@@ -9,9 +9,9 @@ use crpl_gcs::lab::run;
 use crpl_gcs::lab::{self, Contender, Scored};
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::noise::{Noise, Stream};
-use crpl_sitl::world::obstacles::Obstacles;
 use crpl_sitl::{Scenario, Sim, camera};
 use nalgebra::Vector2;
 use tests::program;
@@ -62,7 +62,7 @@ fn two_obstacles_are_read_as_well_as_one() {
         let (uav, first) = (near(middle, 0.25, 0.05), near(middle, 0.25, 0.12));
         // Every other pair overlaps.
         let second = if n % 2 == 0 { near(middle, 0.25, 0.12) } else { near(first, 0.05, 0.12) };
-        let frame = camera::render_all(uav, &Obstacles { first, second: Some(second) }, &scenario);
+        let frame = camera::render_all(uav, &[first, second].into(), &scenario);
         let [one, other] = frame.one_obstacle_each().map(|frame| world.encode(&frame));
         for (errors, off) in errors.iter_mut().zip([
             world.uav(&one) - uav,
@@ -80,22 +80,22 @@ fn two_obstacles_are_read_as_well_as_one() {
     }
 }
 
-/// The second obstacle and its picture cross the link, and the record tells of it.
-#[test]
-fn two_obstacles_over_udp_are_those_in_process() {
-    let scenario = Scenario::load(&config("two_obstacles.toml")).unwrap();
-    let mut station = Models::load(None, None).unwrap().station(Controller::CrplRh, &scenario).unwrap();
+/// Obstacles and their picture cross the link, and the records tell of all of them.
+fn over_udp_as_in_process(config: &Path, controller: Controller, obstacles: usize) {
+    let scenario = Scenario::load(config).unwrap();
+    let mut station = Models::load(None, None).unwrap().station(controller, &scenario).unwrap();
     let (ticks, folder) = (30, tempfile::tempdir().unwrap());
     lab::fly(&mut Sim::new(scenario, 5), &mut station, ticks);
     let here = folder.path().join("here.jsonl");
     run::write_records(&here, station.records()).unwrap();
 
-    let config = config("two_obstacles.toml");
-    let (config, out) = (config.to_str().unwrap(), folder.path().join("run"));
+    let (config, out, controller) =
+        (config.to_str().unwrap(), folder.path().join("run"), controller.to_string());
     let sitl = ["--pace", "lockstep", "--config", config, "--seed", "5", "--ticks", "30"];
     let (sitl, address) = program::sitl(&sitl).unwrap();
     let connect = format!("udpout:{address}");
-    let fly = ["fly", "--connect", &connect, "--config", config, "--controller", "crpl-rh", "--ticks", "30"];
+    let fly =
+        ["fly", "--connect", &connect, "--config", config, "--controller", &controller, "--ticks", "30"];
     program::run("gcs", &[fly.as_slice(), &["--out", out.to_str().unwrap()]].concat())
         .unwrap()
         .good()
@@ -105,7 +105,46 @@ fn two_obstacles_over_udp_are_those_in_process() {
     let read = |path: &Path| std::fs::read_to_string(path).unwrap();
     let flown = read(&out.join("record.jsonl"));
     assert_eq!(flown, read(&here));
-    assert!(flown.lines().count() == 30 && flown.lines().all(|line| line.contains("second_obstacle")));
+    assert_eq!(flown.lines().count(), 30);
+    for line in flown.lines() {
+        let record: Record = serde_json::from_str(line).unwrap();
+        assert_eq!(record.obstacles.len(), obstacles, "{line}");
+    }
     let plot = read(&out.join("path.svg"));
     assert!(plot.contains("#46825A"), "the plot shows one obstacle");
+}
+
+#[test]
+fn two_obstacles_over_udp_are_those_in_process() {
+    over_udp_as_in_process(&config("two_obstacles.toml"), Controller::CrplRh, 2);
+}
+
+/// World, radio, risk, wire, records and figures hold any number; what pictures tell apart is CRPL's limit.
+#[test]
+fn a_third_obstacle_is_a_toml() {
+    let text = std::fs::read_to_string(config("two_obstacles.toml")).unwrap();
+    let third = "[[obstacle]]\nposition = [0.75, 0.3]\nradius = 0.05\nvelocity = [0.0, 0.01]\n";
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("three.toml");
+    std::fs::write(&file, format!("{text}{third}")).unwrap();
+    for controller in [Controller::Apc, Controller::Rcc] {
+        over_udp_as_in_process(&file, controller, 3);
+    }
+    let models = Models::load(None, None).unwrap();
+    let scenario = Scenario::load(&file).unwrap();
+    let flown = Contender::new(&models, Controller::Apc, &scenario).unwrap().fly(0).unwrap();
+    assert!(flown.metrics.p_coll_max < 0.5 && flown.metrics.reached, "{flown:?}");
+    let error = Contender::new(&models, Controller::CrplRh, &scenario).err().unwrap().to_string();
+    assert!(error.contains("3 obstacles") && error.contains("1 to 2"), "{error}");
+}
+
+#[test]
+fn a_flight_without_obstacles_is_a_free_one() {
+    let scenario = Scenario::from_toml("obstacle = []").unwrap();
+    let models = Models::load(None, None).unwrap();
+    for controller in [Controller::Apc, Controller::Rcc, Controller::Ucc] {
+        let flown = Contender::new(&models, controller, &scenario).unwrap().fly(0).unwrap();
+        assert!(flown.metrics.reached && flown.metrics.p_coll_max == 0.0, "{controller}: {flown:?}");
+    }
+    assert!(Contender::new(&models, Controller::Crpl, &scenario).is_err());
 }

@@ -61,16 +61,11 @@ fn scenario() -> impl Strategy<Value = Scenario> {
     let radio = (rule(), 1.0..12.0, 0.3..3.0, 0.005..0.05, 0.0..1.0);
     (geometry, motion, radio, 1u64..400).prop_map(|(geometry, motion, radio, horizon)| {
         let mut s = Scenario { name: "any".into(), horizon, ..Scenario::default() };
-        (s.start, s.goal, s.obstacle.position, s.uav_radius, s.obstacle.radius) = geometry;
+        let obstacle = &mut s.obstacles[0];
+        (s.start, s.goal, obstacle.position, s.uav_radius, obstacle.radius) = geometry;
         let sigma_c;
-        (
-            s.obstacle.velocity,
-            s.obstacle.margin,
-            s.dynamics.v_max,
-            s.dynamics.a_max,
-            s.dynamics.walls,
-            sigma_c,
-        ) = motion;
+        (obstacle.velocity, obstacle.margin, s.dynamics.v_max, s.dynamics.a_max, s.dynamics.walls, sigma_c) =
+            motion;
         s.disturbance.sigma_c = sigma_c;
         (
             s.radio.rule,
@@ -79,8 +74,8 @@ fn scenario() -> impl Strategy<Value = Scenario> {
             s.channel.blockage_softness,
             s.channel.nlos_attenuation,
         ) = radio;
-        let margin = s.obstacle.margin;
-        s.obstacle.position = s.obstacle.position.map(|x| x.clamp(margin, 1.0 - margin));
+        let margin = obstacle.margin;
+        obstacle.position = obstacle.position.map(|x| x.clamp(margin, 1.0 - margin));
         s.check().expect("the strategy stays within the ranges of the checks");
         s
     })
@@ -147,8 +142,8 @@ proptest! {
     fn a_moving_obstacle_reflects_at_full_speed_and_never_leaves_its_margin(
         scenario in scenario(), ticks in 1usize..300,
     ) {
-        let margin = scenario.obstacle.margin;
-        let mut state = State { r: scenario.obstacle.position, v: scenario.obstacle.velocity };
+        let margin = scenario.obstacle().margin;
+        let mut state = State { r: scenario.obstacle().position, v: scenario.obstacle().velocity };
         let speed = state.v.norm();
         for k in 0..ticks {
             state = dynamics::step_obstacle(state, margin);
@@ -205,12 +200,12 @@ proptest! {
         uav in point(), obstacle in point(), b_dt in 0.5..20.0,
     ) {
         let s = Scenario::default();
-        let gain = channel::gain(uav, obstacle, s.obstacle.radius, &s.channel);
+        let gain = channel::gain(uav, obstacle, s.obstacle().radius, &s.channel);
         let fails = |power: TxPower| {
             channel::outage(b_dt, channel::snr(gain, power.level(), &s.channel), s.radio.packet_bits)
         };
         prop_assert!(fails(TxPower::Low) || !fails(TxPower::High));
-        let blockage = channel::blockage(uav, obstacle, s.obstacle.radius, &s.channel);
+        let blockage = channel::blockage(uav, obstacle, s.obstacle().radius, &s.channel);
         prop_assert!((0.0..=1.0).contains(&blockage));
         let los = channel::los_gain(uav, &s.channel);
         prop_assert!(gain > 0.0 && gain <= los, "gain {gain} of {los} in sight");
@@ -245,12 +240,12 @@ proptest! {
             let reach = radius + edge / 2.0 / SIDE as f64;
             r.map(|x| x.clamp(reach, 1.0 - reach))
         };
-        let (uav, obstacle) = (inside(uav, s.uav_radius), inside(obstacle, s.obstacle.radius));
+        let (uav, obstacle) = (inside(uav, s.uav_radius), inside(obstacle, s.obstacle().radius));
         // Where the UAV covers it, the obstacle is less than whole.
-        let apart = safety::clearance(uav, obstacle, s.uav_radius, s.obstacle.radius) > edge / SIDE as f64;
+        let apart = safety::clearance(uav, obstacle, s.uav_radius, s.obstacle().radius) > edge / SIDE as f64;
         let frame = render(uav, obstacle, &s);
         for (channel, whole, centre, radius, bound) in
-            [(0, true, uav, s.uav_radius, 8e-3), (2, apart, obstacle, s.obstacle.radius, 3e-3)]
+            [(0, true, uav, s.uav_radius, 8e-3), (2, apart, obstacle, s.obstacle().radius, 3e-3)]
         {
             if !whole {
                 continue;

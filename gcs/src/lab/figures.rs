@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::COLOURS;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::TxPower;
 use crpl_sitl::world::World;
@@ -17,9 +18,8 @@ use super::plot;
 /// Cells of the blockage field along each side.
 const CELLS: usize = 100;
 const LOW: RGBColor = RGBColor(31, 119, 180);
-/// Obstacles as the camera tells them apart.
-const BLUE_BODY: RGBColor = RGBColor(70, 90, 140);
-const GREEN_BODY: RGBColor = RGBColor(70, 130, 90);
+/// Obstacles as the camera tells them apart; further ones have the first colour.
+const BODIES: [RGBColor; COLOURS] = [RGBColor(70, 90, 140), RGBColor(70, 130, 90)];
 const HIGH: RGBColor = RGBColor(214, 39, 40);
 
 /// Width and height of `path.svg` and `path.png`, px.
@@ -88,10 +88,7 @@ fn draw<B: DrawingBackend>(
         .y_label_area_size(44)
         .build_cartesian_2d(0.0..1.0, 0.0..1.0)
         .map_err(failed)?;
-    let obstacles = records.last().map_or_else(
-        || World::new(scenario).obstacles(),
-        |r| Obstacles { first: r.obstacle, second: r.second_obstacle },
-    );
+    let obstacles = records.last().map_or_else(|| World::new(scenario).obstacles(), |r| r.obstacles);
     chart.draw_series(shadow(&obstacles, scenario)).map_err(failed)?;
     chart.configure_mesh().disable_mesh().x_desc("x (east)").y_desc("y (north)").draw().map_err(failed)?;
 
@@ -102,13 +99,9 @@ fn draw<B: DrawingBackend>(
         });
         points.collect::<Vec<_>>()
     };
-    let first = disc(obstacles.first, scenario.obstacle.radius);
-    chart.draw_series([Polygon::new(first, BLUE_BODY.mix(0.8))]).map_err(failed)?;
-    if let Some((centre, second)) = obstacles.second.zip(scenario.second_obstacle.as_ref()) {
-        chart
-            .draw_series([Polygon::new(disc(centre, second.radius), GREEN_BODY.mix(0.8))])
-            .map_err(failed)?;
-    }
+    let bodies = obstacles.each(scenario).enumerate();
+    let bodies = bodies.map(|(n, (centre, o))| Polygon::new(disc(centre, o.radius), body(n).mix(0.8)));
+    chart.draw_series(bodies).map_err(failed)?;
     for (track, radius, colour) in tracks(records, scenario) {
         let met = nearest(records, &track).map(|at| disc(at, radius)).unwrap_or_default();
         chart.draw_series([PathElement::new(met, colour.stroke_width(2))]).map_err(failed)?;
@@ -163,14 +156,17 @@ fn draw<B: DrawingBackend>(
 
 /// The centres of each obstacle that moves, interval by interval, with its radius and colour.
 fn tracks(records: &[Record], scenario: &Scenario) -> Vec<(Vec<Vector2<f64>>, f64, RGBColor)> {
-    let first = records.iter().map(|r| r.obstacle).collect();
-    let second = records.iter().filter_map(|r| r.second_obstacle).collect();
-    let radius = scenario.second_obstacle.as_ref().map_or(0.0, |o| o.radius);
-    let mut all = vec![(first, scenario.obstacle.radius, BLUE_BODY), (second, radius, GREEN_BODY)];
-    all.retain(|(track, ..): &(Vec<Vector2<f64>>, f64, RGBColor)| {
+    let track = |n: usize| records.iter().filter_map(|r| r.obstacles.get(n).copied()).collect();
+    let all = scenario.obstacles.iter().enumerate().map(|(n, o)| (track(n), o.radius, body(n)));
+    let moves = |(track, ..): &(Vec<Vector2<f64>>, f64, RGBColor)| {
         track.first().is_some_and(|first| track.iter().any(|r| (r - first).norm() > STILL))
-    });
-    all
+    };
+    all.filter(moves).collect()
+}
+
+/// Colour of the obstacle with this index.
+fn body(index: usize) -> RGBColor {
+    BODIES.get(index).copied().unwrap_or(BODIES[0])
 }
 
 /// Where an obstacle with this track was when the UAV came nearest to it.

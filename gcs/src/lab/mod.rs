@@ -117,6 +117,6 @@ impl Contender {
 /// Whether a flight passed below the obstacle's first position.
 #[must_use]
 pub fn below(records: &[Record], scenario: &Scenario) -> bool {
-    let obstacle = scenario.obstacle.position;
+    let obstacle = scenario.obstacle().position;
     records.iter().map(|r| r.r_next).find(|r| r.x >= obstacle.x).is_some_and(|r| r.y < obstacle.y)
 }

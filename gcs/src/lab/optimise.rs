@@ -147,10 +147,11 @@ pub fn run(args: &Optimise) -> Result<()> {
 
 /// Algorithm 1 knows one obstacle, which stands.
 pub(crate) fn one_obstacle(scenario: &Scenario) -> Result<()> {
-    if scenario.second_obstacle.is_some() {
+    if scenario.obstacles.len() != 1 {
         bail!(
-            "scenario {:?} has a second_obstacle; Algorithm 1 plans for one, crpl-rh in flight for two",
-            scenario.name
+            "scenario {:?} has {} obstacles; Algorithm 1 plans for one, crpl-rh in flight for two",
+            scenario.name,
+            scenario.obstacles.len()
         );
     }
     Ok(())

@@ -7,17 +7,18 @@ use std::collections::BTreeMap;
 
 use crpl_model::predictor::observer::Observer;
 use crpl_model::world_model::WorldModel;
-use crpl_sitl::camera::Frame;
+use crpl_sitl::camera::{COLOURS, Frame};
 use crpl_sitl::radio::Fates;
 use crpl_sitl::radio::message::Held;
 use crpl_sitl::scenario::Rule;
 use crpl_sitl::units::Tick;
+use crpl_sitl::world::obstacles::PerObstacle;
 use nalgebra::Vector2;
 
 use super::seen::{BeliefConfig, Heard};
 
 /// Missed percepts beyond which the gap's length no longer matters: longer than any window.
-const MOST_MISSED: u64 = 100;
+const MAX_MISSED: u64 = 100;
 
 /// What the observer makes of the last pictures, in plane coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -26,18 +27,24 @@ pub struct Latents {
     pub y_c: [f32; 2],
     /// y_c one interval earlier.
     pub y_c_before: [f32; 2],
-    /// y_u at the newest picture.
-    pub y_u: [f32; 2],
-    /// The same of a second obstacle, in a scenario that has one.
-    pub y_u_second: Option<[f32; 2]>,
+    /// y_u of each obstacle at the newest picture; at most [`COLOURS`] are told apart.
+    pub y_u: PerObstacle<[f32; 2]>,
+}
+
+impl Latents {
+    /// y_u of the first obstacle, beside which policies are made; zeros in a world without any.
+    #[must_use]
+    pub fn first_y_u(&self) -> [f32; 2] {
+        self.y_u.first().copied().unwrap_or_default()
+    }
 }
 
 /// Latent history and ledger.
 #[derive(Debug, Clone)]
 pub struct Belief {
     controllable: Observer,
-    uncontrollable: Observer,
-    second: Option<Observer>,
+    /// Of each obstacle that the pictures tell apart.
+    uncontrollable: Vec<Observer>,
     /// Report that came with the newest picture.
     newest: Option<Heard>,
     latents: Latents,
@@ -50,12 +57,12 @@ impl Belief {
     #[must_use]
     pub fn new(world: &WorldModel, config: BeliefConfig) -> Self {
         let [c, u] = world.motions(config.limits.v_max, config.gust_std);
+        let seen = config.obstacles.min(COLOURS);
         Self {
             controllable: Observer::new(c, config.window),
-            second: (config.obstacles > 1).then(|| Observer::new(u, config.window)),
-            uncontrollable: Observer::new(u, config.window),
+            uncontrollable: (0..seen).map(|_| Observer::new(u, config.window)).collect(),
             newest: None,
-            latents: Latents::default(),
+            latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
             ledger: Ledger::new(config.rule),
             config,
         }
@@ -65,25 +72,20 @@ impl Belief {
     pub fn observe(&mut self, world: &WorldModel, heard: &Heard, frame: &Frame) {
         let flown = self.flown(heard);
         let still = vec![Vector2::zeros(); flown.len()];
-        let [c, u] = match &mut self.second {
-            None => world.see(frame),
-            Some(second) => {
-                let [first, [_, other]] = frame.one_obstacle_each().map(|frame| world.see(&frame));
-                second.observe(other, &still);
-                first
-            }
+        let seen = match self.uncontrollable.len() {
+            0 | 1 => vec![world.see(frame)],
+            _ => frame.one_obstacle_each().iter().map(|frame| world.see(frame)).collect(),
         };
-        self.controllable.observe(c, &flown);
-        self.uncontrollable.observe(u, &still);
+        for (observer, [_, u]) in self.uncontrollable.iter_mut().zip(&seen) {
+            observer.observe(*u, &still);
+        }
+        if let Some([c, _]) = seen.first() {
+            self.controllable.observe(*c, &flown);
+        }
         let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
-        if let (Some(c), Some(u)) = (self.controllable.estimate(), self.uncontrollable.estimate()) {
-            let second = self.second.as_ref().and_then(Observer::estimate);
-            self.latents = Latents {
-                y_c: narrow(c.y),
-                y_c_before: narrow(c.before()),
-                y_u: narrow(u.y),
-                y_u_second: second.map(|u| narrow(u.y)),
-            };
+        let y_u = self.uncontrollable.iter().map(|u| Some(narrow(u.estimate()?.y))).collect::<Option<_>>();
+        if let (Some(c), Some(y_u)) = (self.controllable.estimate(), y_u) {
+            self.latents = Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u };
         }
         self.newest = Some(*heard);
         self.ledger.hear(heard);
@@ -93,7 +95,7 @@ impl Belief {
     /// vehicle says it flew, not what was sent. A command is flown from its own tick on.
     fn flown(&self, heard: &Heard) -> Vec<Vector2<f64>> {
         let Some(before) = self.newest else { return Vec::new() };
-        let gap = heard.tick.0.saturating_sub(before.tick.0).min(MOST_MISSED);
+        let gap = heard.tick.0.saturating_sub(before.tick.0).min(MAX_MISSED);
         let normalised =
             |held: Held| self.config.scale.paper_from_ned_acceleration(held.accel) / self.config.limits.a_max;
         (heard.tick.0 - gap..heard.tick.0)
@@ -242,7 +244,7 @@ mod tests {
             // An outage from 8 to 14: the command of tick 7 is held all through; percepts 18, 19 are missed.
             let lost = (8..14).contains(&tick);
             if ![18, 19].contains(&tick) {
-                let frame = crpl_sitl::camera::render(r, scenario.obstacle.position, &scenario);
+                let frame = crpl_sitl::camera::render(r, scenario.obstacle().position, &scenario);
                 belief.observe(&world, &Heard { held, ..report(tick, None, lost) }, &frame);
                 let a =
                     Vector2::new((tick as f64).sin(), (tick as f64 * 0.6).cos()) * scenario.dynamics.a_max;
@@ -253,7 +255,7 @@ mod tests {
             v += a;
             r += v;
         }
-        let frame = crpl_sitl::camera::render(r, scenario.obstacle.position, &scenario);
+        let frame = crpl_sitl::camera::render(r, scenario.obstacle().position, &scenario);
         belief.observe(&world, &Heard { held, ..report(25, None, false) }, &frame);
         let Latents { y_c, y_c_before, .. } = belief.latents();
         let seen = [0, 1].map(|i| f64::from(y_c[i] - y_c_before[i]) / world.scale);

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::{WorldModel, checkpoint};
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::COLOURS;
 
 use crate::station::Station;
 use crate::station::pilot::{Controller, Pilot};
@@ -35,6 +36,14 @@ impl Models {
     /// # Errors
     /// No policy for the scenario, a file that does not read, or another world model.
     pub fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+        let count = scenario.obstacles.len();
+        if !(1..=COLOURS).contains(&count) {
+            bail!(
+                "scenario {:?} has {count} obstacles; a crpl controller sees them in the frame's colours, \
+                 which tell 1 to {COLOURS} apart: apc, rcc and ucc fly with any number",
+                scenario.name
+            );
+        }
         let policies = self.read_policies(scenario)?;
         let here = checkpoint::fingerprint(&self.world)?;
         if policies.world != here {
@@ -52,7 +61,7 @@ impl Models {
             return Ok(Policies::load(path)?);
         }
         let number = scenario.number().with_context(|| {
-            let o = scenario.obstacle.position;
+            let o = scenario.obstacle().position;
             format!(
                 "no shipped policy knows an obstacle at ({}, {}): train one with `gcs optimise \
                  --scenario-file` and give it by --policy",

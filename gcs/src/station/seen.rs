@@ -74,7 +74,7 @@ impl BeliefConfig {
             limits: MotionLimits::of(scenario),
             gust_std: scenario.disturbance.kick(),
             window: usize::try_from(scenario.observer.window).unwrap_or(usize::MAX),
-            obstacles: 1 + usize::from(scenario.second_obstacle.is_some()),
+            obstacles: scenario.obstacles.len(),
             scale: scenario.scale,
             rule: scenario.radio.rule,
         }

@@ -180,8 +180,7 @@ fn report(record: &Record, scenario: &Scenario) -> Telemetry {
         tick: record.tick.next(),
         position: scale.ned_from_paper(record.r_next),
         velocity: scale.ned_from_paper_velocity(record.v_next),
-        obstacle: scale.ned_from_paper(record.obstacle),
-        second_obstacle: record.second_obstacle.map(|place| scale.ned_from_paper(place)),
+        obstacles: record.obstacles.iter().map(|place| scale.ned_from_paper(*place)).collect(),
         held: record.flown_tick.map(|tick| Held { tick, accel }),
         link: Some(LinkReport { snr_db: record.snr_db, power: record.power, outage: record.outage }),
     }

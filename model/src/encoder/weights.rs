@@ -136,7 +136,7 @@ impl Input {
             let (r, w) = (radius * px, scenario.camera.edge_px);
             std::f64::consts::PI * (r * r + w * w / 12.0)
         };
-        let masses = [area(scenario.uav_radius), 0.0, area(scenario.obstacle.radius)];
+        let masses = [area(scenario.uav_radius), 0.0, area(scenario.obstacle().radius)];
         let share = |mass: f64, filled: f64| ((mass / (px * px)) * filled).sqrt() as f32;
         let mut whole_mass = [0.0; CHANNELS];
         for (channel, mass) in masses.into_iter().enumerate() {

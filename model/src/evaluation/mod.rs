@@ -194,7 +194,7 @@ fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise)
     let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
     let px = SIDE as f64;
     let l1 = |a: Vector2<f64>, b: Vector2<f64>| px * (a - b).abs().sum();
-    let reach = scenario.obstacle.radius + scenario.uav_radius + scenario.camera.edge_px / px;
+    let reach = scenario.obstacle().radius + scenario.uav_radius + scenario.camera.edge_px / px;
     let mut d = Decoded::default();
     for (s, l) in scenes.iter().zip(&latents) {
         let depth = s.uav.iter().map(|x| x.min(1.0 - x)).fold(1.0, f64::min);

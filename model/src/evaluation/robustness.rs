@@ -92,7 +92,7 @@ fn picture_cases(scenario: &Scenario) -> Vec<PictureCase> {
     let clean = Lens::default();
     let with_radius = |radius: f64| {
         let mut other = scenario.clone();
-        other.obstacle.radius = radius;
+        other.obstacles[0].radius = radius;
         other
     };
     let case = |name, lens| PictureCase { name, lens, scenario: scenario.clone(), wanted: anything };
@@ -132,7 +132,7 @@ fn cut(scene: &Scene, _: &Scenario) -> bool {
 }
 
 fn overlapping(scene: &Scene, scenario: &Scenario) -> bool {
-    let reach = scenario.obstacle.radius + scenario.uav_radius + scenario.camera.edge_px / SIDE as f64;
+    let reach = scenario.obstacle().radius + scenario.uav_radius + scenario.camera.edge_px / SIDE as f64;
     (scene.uav - scene.obstacle).norm() < reach && whole(scene, scenario)
 }
 
@@ -242,7 +242,7 @@ fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> Flight {
     let mut place = |low: f64| low + (1.0 - 2.0 * low) * rng.random::<f64>();
     let mut uav = State { r: Vector2::new(place(0.0), place(0.0)), v: heading * case.speed };
     // So far from its walls that it meets none.
-    let margin = scenario.obstacle.margin + OBSTACLE_SPEED * (AHEAD + 1) as f64;
+    let margin = scenario.obstacle().margin + OBSTACLE_SPEED * (AHEAD + 1) as f64;
     let obstacle = Vector2::new(place(margin), place(margin));
     let mut free = scenario.dynamics.clone();
     free.walls = false;

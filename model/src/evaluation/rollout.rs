@@ -143,7 +143,7 @@ fn one(start: Start, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> 
         path.push(state.r);
     }
 
-    let margin = scenario.obstacle.margin;
+    let margin = scenario.obstacle().margin;
     let mut place = || margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
     let r = Vector2::new(place(), place());
     let speed = if start == Start::Rest { 0.0 } else { OBSTACLE_SPEED };

@@ -62,7 +62,7 @@ impl Scene {
     /// Its ground truth for a base station at `station`.
     #[must_use]
     pub fn label(&self, station: Vector2<f64>, scenario: &Scenario, distance_floor: f64) -> Label {
-        let radius = scenario.obstacle.radius;
+        let radius = scenario.obstacle().radius;
         let clearance = safety::clearance(self.uav, self.obstacle, scenario.uav_radius, radius);
         let mut link = scenario.channel.clone();
         link.base_station = station;
@@ -83,7 +83,7 @@ impl Scene {
 pub fn uniform_scene(scenario: &Scenario, rng: &mut impl Rng) -> Scene {
     let mut place = |margin: f64| margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
     let uav = Vector2::new(place(0.0), place(0.0));
-    let margin = scenario.obstacle.margin;
+    let margin = scenario.obstacle().margin;
     Scene { uav, obstacle: Vector2::new(place(margin), place(margin)) }
 }
 
@@ -116,7 +116,7 @@ pub fn sample(
     scenario: &Scenario,
     rng: &mut impl Rng,
 ) -> Vec<(Scene, Vector2<f64>)> {
-    let margin = scenario.obstacle.margin;
+    let margin = scenario.obstacle().margin;
     let inside = |r: Vector2<f64>| r.map(|x| x.clamp(margin, 1.0 - margin));
     (0..count)
         .map(|n| {

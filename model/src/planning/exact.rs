@@ -43,11 +43,11 @@ impl Exact {
         let obstacle = self.probe.u.apply(Vector2::new(y[2], y[3]));
         match self.quantity {
             Quantity::CollisionLogit => {
-                let clearance = safety::clearance(uav, obstacle, s.uav_radius, s.obstacle.radius);
+                let clearance = safety::clearance(uav, obstacle, s.uav_radius, s.obstacle().radius);
                 (s.safety.d_min - clearance) / s.safety.softness
             }
             Quantity::LogGain => {
-                (channel::gain(uav, obstacle, s.obstacle.radius, &s.channel) / s.channel.noise_power).ln()
+                (channel::gain(uav, obstacle, s.obstacle().radius, &s.channel) / s.channel.noise_power).ln()
             }
         }
     }
@@ -87,13 +87,13 @@ mod tests {
     fn it_is_the_simulators_equation_and_its_slope() {
         let world = WorldModel::embedded().unwrap();
         let scenario = Scenario::default();
-        let (r, o) = (Vector2::new(0.4, 0.31), scenario.obstacle.position);
+        let (r, o) = (Vector2::new(0.4, 0.31), scenario.obstacle().position);
         let (y_c, y_u) = (world.probe.c.invert(r).unwrap(), world.probe.u.invert(o).unwrap());
         let y: [Lane; 4] = [y_c.x, y_c.y, y_u.x, y_u.y].map(|y| [y as f32; LANES]);
         let head = |quantity| Exact::new(quantity, world.probe, scenario.clone());
 
         let logit = f64::from(head(Quantity::CollisionLogit).value(&y)[0]);
-        let clearance = safety::clearance(r, o, scenario.uav_radius, scenario.obstacle.radius);
+        let clearance = safety::clearance(r, o, scenario.uav_radius, scenario.obstacle().radius);
         let p = safety::collision_probability(clearance, scenario.safety.d_min, scenario.safety.softness);
         assert!((channel::sigmoid(logit) - p).abs() < 1e-5, "{logit} {p}");
 

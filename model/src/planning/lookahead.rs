@@ -125,8 +125,7 @@ impl Stage {
         let lanes = |y: [f32; 2]| y.map(|v| [v; LANES]);
         Draws {
             start: here.y_c.map(lanes),
-            obstacle: here.y_u.map(lanes),
-            second: here.second.map(|y_u| y_u.map(lanes)),
+            obstacles: here.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
             told: Some(self.obstacle),
             wind: vec![[ZERO; 2]; horizon],
             opening: Vec::new(),
@@ -173,8 +172,9 @@ mod tests {
             let there = |place: Vector2<f64>| see([0.1, 0.9], place).1;
             let here = Here {
                 y_c: [see([0.7, 0.5], now).0, see([0.68, 0.5], now).0],
-                y_u: [there(now), there(before)],
-                second: second.map(|place| [there(Vector2::from(place)); 2]),
+                y_u: std::iter::once([there(now), there(before)])
+                    .chain(second.map(|place| [there(Vector2::from(place)); 2]))
+                    .collect(),
             };
             lookahead.best(&stage, &policies.motion, &here, 60)
         };

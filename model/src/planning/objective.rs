@@ -119,8 +119,8 @@ pub struct Plant {
     pub v_max: f32,
     /// Images of the frame's corners (0,0) and (1,1) in y_c.
     pub corners: [[f32; 2]; 2],
-    /// Where each obstacle can be, in y_u; `None` predicts it straight on for ever.
-    pub areas: [Option<Area>; 2],
+    /// Where each obstacle can be, in y_u; `None`, or no entry, predicts it straight on for ever.
+    pub areas: Vec<Option<Area>>,
     /// What the rollout knows of limits.
     pub limits: Limits,
     /// y_g
@@ -136,11 +136,9 @@ pub struct Plant {
 pub struct Draws {
     /// y_c at k = 0 and k = -1.
     pub start: [[Lane; 2]; 2],
-    /// y_u at k = 0 and k = -1.
-    pub obstacle: [[Lane; 2]; 2],
-    /// The same of a second obstacle, where there is one.
-    pub second: Option<[[Lane; 2]; 2]>,
-    /// The y_u that the policy is told, if it is not the obstacle's own: one that was trained beside a
+    /// y_u of each obstacle at k = 0 and k = -1; at least one.
+    pub obstacles: Vec<[[Lane; 2]; 2]>,
+    /// The y_u that the policy is told, if it is not the first obstacle's own: one that was trained beside a
     /// standing obstacle has learned nothing of others.
     pub told: Option<[f32; 2]>,
     /// (kick/a_max) w_k, one [Lane; 2] an interval; its length is the horizon H.

@@ -4,6 +4,7 @@
 use crpl_sitl::scenario::Obstacle;
 use crpl_sitl::world::dynamics::limit_speed;
 use crpl_sitl::world::noise::{Noise, Stream};
+use crpl_sitl::world::obstacles::PerObstacle;
 use crpl_sitl::{Scenario, camera};
 use nalgebra::Vector2;
 use rand::RngExt;
@@ -23,10 +24,8 @@ pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a
 pub struct Here {
     /// y_c
     pub y_c: [[f32; 2]; 2],
-    /// y_u
-    pub y_u: [[f32; 2]; 2],
-    /// The same of a second obstacle, where there is one.
-    pub second: Option<[[f32; 2]; 2]>,
+    /// y_u of each obstacle
+    pub y_u: PerObstacle<[[f32; 2]; 2]>,
 }
 
 /// A scenario seen through the encoder: start pairs, obstacle places.
@@ -74,7 +73,7 @@ impl Stage {
     ) -> Self {
         let place =
             |uav: Vector2<f64>, obstacle: Vector2<f64>| encode(&camera::render(uav, obstacle, scenario));
-        let there = scenario.obstacle.position;
+        let there = scenario.obstacle().position;
         plant.goal = place(scenario.goal, there).0;
         plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
         let corner = |x: f64, y: f64| place(scenario.start, Vector2::new(x, y)).1;
@@ -82,7 +81,7 @@ impl Stage {
             let (near, far) = (o.margin, 1.0 - o.margin);
             Area::new(corner(near, near), [corner(far, near), corner(near, far)])
         };
-        plant.areas = [area(&scenario.obstacle), scenario.second_obstacle.as_ref().and_then(area)];
+        plant.areas = scenario.obstacles.iter().map(area).collect();
         plant.limits = config.limits;
         let noise = Noise::new(seed);
         let starts = (0..config.starts as u64)
@@ -141,8 +140,7 @@ impl Stage {
                 };
                 Draws {
                     start: here.y_c.map(lanes),
-                    obstacle: here.y_u.map(lanes),
-                    second: here.second.map(|y_u| y_u.map(lanes)),
+                    obstacles: here.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
                     told: Some(self.obstacle),
                     wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
                     opening: Vec::new(),
@@ -182,8 +180,8 @@ impl Stage {
                     })
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
-                let obstacle = [fixed, fixed];
-                Draws { start, obstacle, second: None, told: None, wind, opening: Vec::new() }
+                let obstacles = vec![[fixed, fixed]];
+                Draws { start, obstacles, told: None, wind, opening: Vec::new() }
             })
             .collect()
     }
@@ -207,7 +205,7 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         scale: world.scale as f32,
         v_max: scenario.dynamics.v_max as f32,
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
-        areas: [None; 2],
+        areas: Vec::new(),
         limits: config.limits,
         goal: [0.0; 2],
         collision,

@@ -20,7 +20,7 @@ pub(super) struct Trace {
     a: Vec<[Lane; 2]>,
     /// y_{-1}, y_0, ... y_H
     y: Vec<[Lane; 2]>,
-    /// As `y`, of each obstacle: one or two.
+    /// As `y`, of each obstacle.
     u: Vec<Vec<[Lane; 2]>>,
     /// Unclipped step y_raw - y_k.
     raw: Vec<[Lane; 2]>,
@@ -94,7 +94,7 @@ pub(super) fn forward(
         p: vec![ZERO; horizon * MOTIONS],
         a: vec![[ZERO; 2]; horizon],
         y: vec![[ZERO; 2]; horizon + 2],
-        u: Vec::with_capacity(2),
+        u: Vec::with_capacity(draws.obstacles.len()),
         raw: vec![[ZERO; 2]; horizon],
         risk: vec![ZERO; horizon],
         weight: vec![ZERO; horizon],
@@ -106,9 +106,9 @@ pub(super) fn forward(
     };
     t.y[0] = draws.start[1];
     t.y[1] = draws.start[0];
-    t.u.push(drift(plant, plant.areas[0].as_ref(), draws.obstacle, horizon));
-    if let Some(second) = draws.second {
-        t.u.push(drift(plant, plant.areas[1].as_ref(), second, horizon));
+    for (n, obstacle) in draws.obstacles.iter().enumerate() {
+        let area = plant.areas.get(n).and_then(Option::as_ref);
+        t.u.push(drift(plant, area, *obstacle, horizon));
     }
     let (place, speed) = (2.0 / plant.scale, 1.0 / (plant.scale * plant.v_max));
     let goal_weight = (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
@@ -118,7 +118,7 @@ pub(super) fn forward(
 
     for k in 0..horizon {
         let (now, before) = (t.y[k + 1], t.y[k]);
-        let told = draws.told.map_or(t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
+        let told = draws.told.map_or_else(|| t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
         for i in 0..2 {
             for l in 0..LANES {
@@ -219,15 +219,12 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut Trace) {
     let mut riskiest = [0.0f32; LANES];
     for k in 0..horizon {
         let (after, now) = (k + 2, k + 1);
-        let logit = plant.collision.value(&pair(&t.y[after], &t.u[0][after]));
-        let mut log_gain = plant.gain.value(&pair(&t.y[now], &t.u[0][now]));
-        for l in 0..LANES {
-            t.risk[k][l] = kernel::sigmoid(logit[l]);
-        }
-        if let Some(second) = t.u.get(1) {
-            let logit = plant.collision.value(&pair(&t.y[after], &second[after]));
-            let other = plant.gain.value(&pair(&t.y[now], &second[now]));
+        let mut log_gain = [f32::INFINITY; LANES];
+        for u in &t.u {
+            let logit = plant.collision.value(&pair(&t.y[after], &u[after]));
+            let other = plant.gain.value(&pair(&t.y[now], &u[now]));
             for l in 0..LANES {
+                // From 0 on, so that one obstacle's p stays as it is to the last bit.
                 let p = kernel::sigmoid(logit[l]);
                 t.risk[k][l] = p.mul_add(1.0 - t.risk[k][l], t.risk[k][l]);
                 log_gain[l] = log_gain[l].min(other[l]);
@@ -324,15 +321,16 @@ fn risk(plant: &Plant, y: &[Lane; 2], u: &[Lane; 2]) -> Lane {
 /// Gradient of the log gain at index `now` with respect to y_c: that of the obstacle that blocks more.
 #[inline(always)]
 fn gain_slope(plant: &Plant, y: &[Lane; 2], u: &[Vec<[Lane; 2]>], now: usize) -> [Lane; 2] {
-    let first = pair(y, &u[0][now]);
-    let mut slope = plant.gain.gradient(&first);
-    if let Some(second) = u.get(1) {
-        let second = pair(y, &second[now]);
-        let (a, b) = (plant.gain.value(&first), plant.gain.value(&second));
-        let other = plant.gain.gradient(&second);
+    if let [u] = u {
+        return plant.gain.gradient(&pair(y, &u[now]));
+    }
+    let (mut slope, mut least) = ([ZERO; 2], [f32::INFINITY; LANES]);
+    for u in u {
+        let both = pair(y, &u[now]);
+        let (gain, own) = (plant.gain.value(&both), plant.gain.gradient(&both));
         for l in 0..LANES {
-            if b[l] < a[l] {
-                (slope[0][l], slope[1][l]) = (other[0][l], other[1][l]);
+            if gain[l] < least[l] {
+                (least[l], slope[0][l], slope[1][l]) = (gain[l], own[0][l], own[1][l]);
             }
         }
     }

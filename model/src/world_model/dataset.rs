@@ -138,7 +138,7 @@ fn draw(steps: usize, start: Start, scenario: &Scenario, rng: &mut impl Rng) -> 
         uav.push(state.r);
     }
 
-    let margin = scenario.obstacle.margin;
+    let margin = scenario.obstacle().margin;
     let mut place = || margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
     let centre = Vector2::new(place(), place());
     let mut body = State { r: centre, v: direction(rng) * OBSTACLE_SPEED };

@@ -36,7 +36,7 @@ pub fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
         scale: 10.0,
         v_max: 0.04,
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
-        areas: [None; 2],
+        areas: Vec::new(),
         limits,
         goal: [4.0, 0.0],
         collision: Head::new(collision, None).expect("a head's widths"),
@@ -65,7 +65,7 @@ pub fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> 
             let obstacle = [lane(0.0, 0.1, rng), lane(-0.5, 0.1, rng)];
             let wind = (0..horizon).map(|_| [lane(0.0, 0.8, rng), lane(0.0, 0.8, rng)]).collect();
             let obstacle = [obstacle, obstacle];
-            Draws { start: [now, before], obstacle, second: None, told: None, wind, opening: Vec::new() }
+            Draws { start: [now, before], obstacles: vec![obstacle], told: None, wind, opening: Vec::new() }
         })
         .collect()
 }
@@ -137,7 +137,7 @@ pub mod by_autodiff {
         let p: Vec<Tensor<2>> = plant.psi_c.iter().map(|m| psi(m, &device)).collect();
         let actions = matrix(&[0., 0., 1., 0., -1., 0., 0., 1., 0., -1.], [5, 2], &device);
         let goal = matrix(&plant.goal, [1, 2], &device);
-        let obstacle = lanes(draws, |d| d.obstacle[0], &device);
+        let obstacle = lanes(draws, |d| d.obstacles[0][0], &device);
         let (mut now, mut before) =
             (lanes(draws, |d| d.start[0], &device), lanes(draws, |d| d.start[1], &device));
         let [rollouts, _] = now.dims();

@@ -1,5 +1,6 @@
-//! World to picture: 100x100 RGB, black background, a blue obstacle and a red UAV drawn over it; a
-//! second obstacle, where there is one, is green, and where two overlap both colours show.
+//! World to picture: 100x100 RGB, black background, a blue obstacle and a red UAV drawn over it. A
+//! second obstacle is green, and where two overlap both colours show. A third and further ones are
+//! blue too: [`COLOURS`] obstacles are as many as a picture tells apart.
 //!
 //! Discs have a soft rim and are area-preserving: the sum of a disc's coverage does not depend on
 //! where it falls between the pixels, so its centre of mass is exact. Row = paper y, column = paper
@@ -14,12 +15,18 @@ use crate::world::obstacles::Obstacles;
 /// Pixels along each side.
 pub const SIDE: usize = 100;
 
-/// Channels of a pixel: red (UAV), green (second obstacle), blue (obstacle).
+/// Channels of a pixel: red (UAV), green (second obstacle), blue (all other obstacles).
 pub const CHANNELS: usize = 3;
+
+/// Maximum number of obstacles that colours tell apart.
+pub const COLOURS: usize = OBSTACLE_CHANNELS.len();
 
 const RED: usize = 0;
 const GREEN: usize = 1;
 const BLUE: usize = 2;
+
+/// Channels of the first obstacles; further ones have the first channel.
+const OBSTACLE_CHANNELS: [usize; 2] = [BLUE, GREEN];
 
 /// A picture: rows of pixels of three bytes.
 #[derive(Clone, PartialEq, Eq)]
@@ -62,20 +69,22 @@ impl Frame {
     /// A picture of UAV and two obstacles as two pictures of UAV and one: each obstacle in blue, as an
     /// encoder of one obstacle knows it. In the order of [`Obstacles`].
     #[must_use]
-    pub fn one_obstacle_each(&self) -> [Self; 2] {
-        [BLUE, GREEN].map(|channel| {
+    pub fn one_obstacle_each(&self) -> [Self; COLOURS] {
+        OBSTACLE_CHANNELS.map(|channel| {
             let pixels = self.bytes.chunks_exact(CHANNELS);
             Self { bytes: pixels.flat_map(|pixel| [pixel[RED], 0, pixel[channel]]).collect() }
         })
     }
 
-    /// Puts a disc's coverage into one channel, where `visible` of it is seen.
+    /// Puts a disc's coverage into one channel, where `visible` of it is seen. Of two discs in one
+    /// channel the larger coverage shows.
     fn paint(&mut self, channel: usize, disc: &Disc, visible: impl Fn(i64, i64) -> f64) {
         let (columns, rows) = disc.window();
         for y in rows {
             for x in columns.clone() {
                 let c = disc.at(x, y) * visible(x, y);
-                self.bytes[(y as usize * SIDE + x as usize) * CHANNELS + channel] = (c * 255.0).round() as u8;
+                let byte = &mut self.bytes[(y as usize * SIDE + x as usize) * CHANNELS + channel];
+                *byte = (*byte).max((c * 255.0).round() as u8);
             }
         }
     }
@@ -138,7 +147,7 @@ impl Disc {
 /// Draws UAV and obstacle at these paper positions.
 #[must_use]
 pub fn render(uav: Vector2<f64>, obstacle: Vector2<f64>, scenario: &Scenario) -> Frame {
-    render_all(uav, &Obstacles { first: obstacle, second: None }, scenario)
+    render_all(uav, &Obstacles::from([obstacle]), scenario)
 }
 
 /// Draws UAV and all obstacles at these paper positions.
@@ -148,11 +157,10 @@ pub fn render_all(uav: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario)
     let edge = scenario.camera.edge_px;
     let red = Disc::new(uav, scenario.uav_radius * px, edge);
     let mut frame = Frame::black();
-    let blue = Disc::new(obstacles.first, scenario.obstacle.radius * px, edge);
-    frame.paint(BLUE, &blue, |x, y| 1.0 - red.at(x, y));
-    if let (Some(centre), Some(second)) = (obstacles.second, &scenario.second_obstacle) {
-        let green = Disc::new(centre, second.radius * px, edge);
-        frame.paint(GREEN, &green, |x, y| 1.0 - red.at(x, y));
+    for (n, (centre, obstacle)) in obstacles.each(scenario).enumerate() {
+        let disc = Disc::new(centre, obstacle.radius * px, edge);
+        let channel = OBSTACLE_CHANNELS.get(n).copied().unwrap_or(OBSTACLE_CHANNELS[0]);
+        frame.paint(channel, &disc, |x, y| 1.0 - red.at(x, y));
     }
     frame.paint(RED, &red, |_, _| 1.0);
     frame
@@ -220,10 +228,11 @@ mod tests {
 
     #[test]
     fn each_of_two_obstacles_is_seen_as_if_it_were_alone() {
-        let scenario = Scenario::from_toml("[second_obstacle]\nposition = [0.5, 0.55]\n").unwrap();
-        let (uav, first, second) =
-            (Vector2::new(0.44, 0.5), scenario.obstacle.position, Vector2::new(0.5, 0.55));
-        let both = render_all(uav, &Obstacles { first, second: Some(second) }, &scenario);
+        let text = "[[obstacle]]\n[[obstacle]]\nposition = [0.5, 0.55]\n";
+        let scenario = Scenario::from_toml(text).unwrap();
+        let uav = Vector2::new(0.44, 0.5);
+        let [first, second] = [0, 1].map(|n: usize| scenario.obstacles[n].position);
+        let both = render_all(uav, &Obstacles::from([first, second]), &scenario);
         // They overlap between their centres, and both colours show.
         assert_eq!(both.pixel(52, 50), [0, 255, 255]);
         let alone = [first, second].map(|centre| render(uav, centre, &scenario));

@@ -12,25 +12,22 @@ use crate::world::noise::{Noise, Stream};
 /// component ids tell them apart.
 pub const MOST: usize = 255;
 
-/// The scenario of vehicle `index`: the first has it as it is, each other one its obstacle elsewhere,
-/// where it blocks neither start nor goal. A function of the seed and the index alone.
+/// The scenario of vehicle `index`: the first has it as it is, each other one its first obstacle
+/// elsewhere, where it blocks neither start nor goal. A function of the seed and the index alone.
 #[must_use]
 pub fn scenario(base: &Scenario, seed: u64, index: usize) -> Scenario {
     let mut scenario = base.clone();
-    if index == 0 {
-        return scenario;
-    }
-    let margin = scenario.obstacle.margin;
+    let Some(obstacle) = scenario.obstacles.first_mut().filter(|_| index > 0) else { return scenario };
+    let margin = obstacle.margin;
     let mut rng = Noise::new(seed).generator(Stream::Start, index as u64);
     let mut places =
         std::iter::repeat_with(|| Vector2::from_fn(|_, _| rng.random_range(margin..=1.0 - margin)));
-    let reach = scenario.obstacle.radius + scenario.uav_radius + scenario.goal_radius;
-    let is_free = |place: &Vector2<f64>| {
-        (place - scenario.start).norm() > reach && (place - scenario.goal).norm() > reach
-    };
+    let reach = obstacle.radius + base.uav_radius + base.goal_radius;
+    let is_free =
+        |place: &Vector2<f64>| (place - base.start).norm() > reach && (place - base.goal).norm() > reach;
     // An obstacle so large that it fits nowhere stays where it is.
     if let Some(place) = places.by_ref().take(1000).find(is_free) {
-        scenario.obstacle.position = place;
+        obstacle.position = place;
         scenario.name = format!("{}, obstacle {index}", base.name);
     }
     scenario
@@ -55,12 +52,12 @@ mod tests {
         for (index, one) in all.iter().enumerate().skip(1) {
             one.check().unwrap();
             assert_eq!(*one, scenario(&base, 5, index));
-            assert_ne!(one.obstacle.position, all[index - 1].obstacle.position);
-            assert!((one.obstacle.position - base.start).norm() > 0.12, "{index}");
+            assert_ne!(one.obstacle().position, all[index - 1].obstacle().position);
+            assert!((one.obstacle().position - base.start).norm() > 0.12, "{index}");
         }
         let mut wide = base;
-        wide.obstacle.radius = 1.0;
-        assert_eq!(scenario(&wide, 5, 1).obstacle, wide.obstacle);
+        wide.obstacles[0].radius = 1.0;
+        assert_eq!(scenario(&wide, 5, 1).obstacles, wide.obstacles);
     }
 
     #[test]

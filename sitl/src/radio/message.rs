@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::camera::Frame;
 use crate::units::{Scale, Tick, TxPower};
-use crate::world::obstacles::Obstacles;
+use crate::world::obstacles::{Obstacles, PerObstacle};
 
 /// What the station asks of the vehicle and of its own transmitter for one control interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,10 +57,8 @@ pub struct Telemetry {
     pub position: [f32; 2],
     /// North, east, m/s.
     pub velocity: [f32; 2],
-    /// Obstacle's north, east, m.
-    pub obstacle: [f32; 2],
-    /// The second one's, in a scenario that has one.
-    pub second_obstacle: Option<[f32; 2]>,
+    /// Each obstacle's north, east, m.
+    pub obstacles: PerObstacle<[f32; 2]>,
     /// What the vehicle flew in the interval that just ended; `None` before the first delivery.
     pub held: Option<Held>,
     /// The radio in the interval that just ended; `None` at tick 0.
@@ -71,10 +69,7 @@ impl Telemetry {
     /// Where the obstacles are, paper units.
     #[must_use]
     pub fn obstacles(&self, scale: &Scale) -> Obstacles {
-        Obstacles {
-            first: scale.paper_from_ned(self.obstacle),
-            second: self.second_obstacle.map(|place| scale.paper_from_ned(place)),
-        }
+        self.obstacles.iter().map(|place| scale.paper_from_ned(*place)).collect()
     }
 }
 

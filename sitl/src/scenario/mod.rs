@@ -9,6 +9,7 @@ use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::units::Scale;
+use crate::world::obstacles::MAX_OBSTACLES;
 
 /// One flight's parameters. Lengths in the paper's units, times in control intervals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,11 +27,10 @@ pub struct Scenario {
     pub goal_radius: f64,
     /// R_u, radius of the UAV (our choice).
     pub uav_radius: f64,
-    /// The uncontrollable entity.
-    pub obstacle: Obstacle,
-    /// A second one; the paper has none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub second_obstacle: Option<Obstacle>,
+    /// The uncontrollable entities, at most [`MAX_OBSTACLES`]; the paper has one. In a file each is a
+    /// table `[[obstacle]]`, and `obstacle = []` is a flight without any.
+    #[serde(rename = "obstacle")]
+    pub obstacles: Vec<Obstacle>,
     /// Motion of the UAV.
     pub dynamics: Dynamics,
     /// Disturbance of the UAV's speed.
@@ -65,8 +65,7 @@ impl Default for Scenario {
             goal: Vector2::new(0.9, 0.5),
             goal_radius: 0.05,
             uav_radius: 0.02,
-            obstacle: Obstacle::default(),
-            second_obstacle: None,
+            obstacles: vec![Obstacle::PAPER],
             dynamics: Dynamics::default(),
             disturbance: Disturbance::default(),
             channel: Channel::default(),
@@ -82,7 +81,7 @@ impl Default for Scenario {
     }
 }
 
-/// The obstacle: stands in flights, moves and reflects in training data.
+/// An obstacle: stands in the paper's flights, moves and reflects in training data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Obstacle {
@@ -98,46 +97,36 @@ pub struct Obstacle {
 
 impl Default for Obstacle {
     fn default() -> Self {
-        Self { position: Vector2::new(0.5, 0.45), velocity: Vector2::zeros(), radius: 0.10, margin: 0.12 }
+        Self::PAPER
     }
 }
 
-/// An obstacle's keys in a scenario file.
-struct Keys {
-    position: [&'static str; 2],
-    velocity: &'static str,
-    radius: &'static str,
-    margin: &'static str,
-}
-
-const FIRST: Keys = Keys {
-    position: ["obstacle.position[0]", "obstacle.position[1]"],
-    velocity: "obstacle.velocity",
-    radius: "obstacle.radius",
-    margin: "obstacle.margin",
-};
-
-const SECOND: Keys = Keys {
-    position: ["second_obstacle.position[0]", "second_obstacle.position[1]"],
-    velocity: "second_obstacle.velocity",
-    radius: "second_obstacle.radius",
-    margin: "second_obstacle.margin",
-};
-
 impl Obstacle {
-    fn check(&self, key: &Keys) -> Result<(), ScenarioError> {
+    /// Scenario 2's.
+    const PAPER: Self = Self {
+        position: Vector2::new(0.5, 0.45),
+        velocity: Vector2::new(0.0, 0.0),
+        radius: 0.10,
+        margin: 0.12,
+    };
+
+    /// Checks obstacle number `index` of a scenario.
+    fn check(&self, index: usize) -> Result<(), ScenarioError> {
+        let check = |key: &str, value: f64, good: bool, must| {
+            if good { Ok(()) } else { check(&format!("obstacle[{index}].{key}"), value, false, must) }
+        };
         let (radius, margin) = (self.radius, self.margin);
-        check(key.radius, radius, radius > 0.0 && radius <= 1.0, SIZE)?;
-        check(key.margin, margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
+        check("radius", radius, radius > 0.0 && radius <= 1.0, SIZE)?;
+        check("margin", margin, (0.0..0.5).contains(&margin), "must lie in [0, 0.5)")?;
         let (speed, most) = (self.velocity.norm(), (1.0 - 2.0 * margin).min(0.5));
         let must = "must be at most 0.5 units per interval, and at most 1 - 2 margin";
-        check(key.velocity, speed, speed <= most, must)?;
-        for axis in 0..2 {
+        check("velocity", speed, speed <= most, must)?;
+        for (axis, key) in ["position[0]", "position[1]"].into_iter().enumerate() {
             let (r, v) = (self.position[axis], self.velocity[axis]);
-            check(key.position[axis], r, (0.0..=1.0).contains(&r), UNIT)?;
+            check(key, r, (0.0..=1.0).contains(&r), UNIT)?;
             let must = "must be its margin or more from the walls if it moves";
             let inside = margin..=1.0 - margin;
-            check(key.position[axis], r, v == 0.0 || inside.contains(&r), must)?;
+            check(key, r, v == 0.0 || inside.contains(&r), must)?;
         }
         Ok(())
     }
@@ -416,11 +405,19 @@ pub enum ScenarioError {
     #[error("{key} = {value}: {must}")]
     Range {
         /// Dotted key.
-        key: &'static str,
+        key: String,
         /// The value found.
         value: f64,
         /// What it must be.
         must: &'static str,
+    },
+    /// A spelling of a former version.
+    #[error("`{old}` is now {new}")]
+    Renamed {
+        /// The former key.
+        old: &'static str,
+        /// What to write instead.
+        new: &'static str,
     },
     /// The paper has Scenarios 1 and 2.
     #[error("there is no scenario {0}; the paper has 1 and 2")]
@@ -435,21 +432,33 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Puts the obstacle where Scenario 1 or 2 has it; all else stays.
+    /// Puts the first obstacle where Scenario 1 or 2 has it; all else stays.
     pub fn set_number(&mut self, number: u8) -> Result<(), ScenarioError> {
-        self.obstacle.position = match number {
+        let position = match number {
             1 => Vector2::new(0.50, 0.30),
             2 => Vector2::new(0.50, 0.45),
             other => return Err(ScenarioError::Number(other)),
         };
+        match self.obstacles.first_mut() {
+            Some(first) => first.position = position,
+            None => self.obstacles.push(Obstacle { position, ..Obstacle::PAPER }),
+        }
         self.name = format!("scenario {number}");
         Ok(())
     }
 
-    /// 1 or 2 if the obstacle stands where the paper's scenario has it.
+    /// 1 or 2 if the first obstacle is where the paper's scenario has it.
     #[must_use]
     pub fn number(&self) -> Option<u8> {
-        (1..=2).find(|&n| Self::numbered(n).is_ok_and(|s| s.obstacle.position == self.obstacle.position))
+        let position = self.obstacles.first()?.position;
+        (1..=2).find(|&n| Self::numbered(n).is_ok_and(|s| s.obstacle().position == position))
+    }
+
+    /// The first obstacle: the one that the paper has and that a world model is trained beside. The
+    /// paper's own where the list is empty.
+    #[must_use]
+    pub fn obstacle(&self) -> &Obstacle {
+        self.obstacles.first().unwrap_or(&Obstacle::PAPER)
     }
 
     /// Reads a TOML file; keys that it leaves out keep the paper's values.
@@ -462,7 +471,10 @@ impl Scenario {
 
     /// Parses and checks a TOML text.
     pub fn from_toml(text: &str) -> Result<Self, anyhow::Error> {
-        let scenario: Self = toml::from_str(text)?;
+        let scenario: Self = toml::from_str(text).map_err(|error| match renamed(text) {
+            Some(renamed) => anyhow::Error::from(renamed),
+            None => error.into(),
+        })?;
         scenario.check()?;
         Ok(scenario)
     }
@@ -528,12 +540,13 @@ impl Scenario {
         ] {
             check(key, value, value >= 0.0 && value.is_finite(), finite)?;
         }
-        self.obstacle.check(&FIRST)?;
-        if let Some(second) = &self.second_obstacle {
-            second.check(&SECOND)?;
-            let apart = (second.position - self.obstacle.position).norm();
-            let must = "must be another place than obstacle.position";
-            check("second_obstacle.position", apart, apart > 0.0, must)?;
+        let count = self.obstacles.len();
+        check("number of obstacles", count as f64, count <= MAX_OBSTACLES, "must be at most 8")?;
+        for (n, obstacle) in self.obstacles.iter().enumerate() {
+            obstacle.check(n)?;
+            let is_alone = self.obstacles[..n].iter().all(|o| o.position != obstacle.position);
+            let (key, x) = (format!("obstacle[{n}].position[0]"), obstacle.position.x);
+            check(&key, x, is_alone, "must be another place than that of the obstacles before it")?;
         }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;
@@ -547,8 +560,32 @@ impl Scenario {
 const UNIT: &str = "must lie in [0, 1]";
 const SIZE: &str = "must be above 0 and at most the width of the frame, 1 unit or 100 px";
 
-fn check(key: &'static str, value: f64, good: bool, must: &'static str) -> Result<(), ScenarioError> {
-    if good { Ok(()) } else { Err(ScenarioError::Range { key, value, must }) }
+fn check(key: &str, value: f64, good: bool, must: &'static str) -> Result<(), ScenarioError> {
+    if good { Ok(()) } else { Err(ScenarioError::Range { key: key.into(), value, must }) }
+}
+
+/// Spellings of former versions and what to write now. A list under an old name is the new spelling.
+const RENAMED: [(&str, &str); 2] = [
+    ("obstacle", "one table [[obstacle]] for each obstacle; as an axis, obstacle[0]"),
+    ("second_obstacle", "a further table [[obstacle]]; as an axis, obstacle[1]"),
+];
+
+/// The new spelling of a former key.
+#[must_use]
+pub fn new_spelling(key: &str) -> Option<&'static str> {
+    RENAMED.iter().find(|(old, _)| *old == key).map(|(_, new)| *new)
+}
+
+/// The former spelling that a scenario's text uses.
+fn renamed(text: &str) -> Option<ScenarioError> {
+    let table: toml::Table = toml::from_str(text).ok()?;
+    let is_old = |old: &str| {
+        let mut keys = old.split('.');
+        let first = table.get(keys.next()?);
+        keys.fold(first, |value, key| value?.get(key)).filter(|value| !value.is_array())
+    };
+    let (old, new) = RENAMED.into_iter().find(|(old, _)| is_old(old).is_some())?;
+    Some(ScenarioError::Renamed { old, new })
 }
 
 #[cfg(test)]
@@ -579,28 +616,53 @@ mod tests {
     #[test]
     fn a_moving_obstacle_starts_and_stays_inside_its_margin() {
         let error = |text: &str| Scenario::from_toml(text).unwrap_err().to_string();
-        let text = "[obstacle]\nposition = [0.1, 0.5]\nvelocity = [0.01, 0.0]\n";
-        assert!(error(text).starts_with("obstacle.position[0] = 0.1: must be"), "{}", error(text));
-        let text = "[obstacle]\nmargin = 0.45\nvelocity = [0.2, 0.0]\n";
-        assert!(error(text).starts_with("obstacle.velocity = 0.2: must be"), "{}", error(text));
-        assert!(Scenario::from_toml("[obstacle]\nposition = [0.1, 0.5]\n").is_ok(), "it stands");
+        let text = "[[obstacle]]\nposition = [0.1, 0.5]\nvelocity = [0.01, 0.0]\n";
+        assert!(error(text).starts_with("obstacle[0].position[0] = 0.1: must be"), "{}", error(text));
+        let text = "[[obstacle]]\nmargin = 0.45\nvelocity = [0.2, 0.0]\n";
+        assert!(error(text).starts_with("obstacle[0].velocity = 0.2: must be"), "{}", error(text));
+        assert!(Scenario::from_toml("[[obstacle]]\nposition = [0.1, 0.5]\n").is_ok(), "it stands");
     }
 
     #[test]
     fn a_second_obstacle_is_checked_as_the_first_is() {
-        let second = |text: &str| Scenario::from_toml(&format!("[second_obstacle]\n{text}\n"));
+        let second = |text: &str| Scenario::from_toml(&format!("[[obstacle]]\n[[obstacle]]\n{text}\n"));
         let scenario = second("position = [0.3, 0.8]\nvelocity = [0.01, 0.0]").unwrap();
         let again = Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap();
         assert_eq!(again, scenario);
         let error = second("position = [0.3, 0.8]\nradius = -1.0").unwrap_err().to_string();
-        assert!(error.starts_with("second_obstacle.radius = -1: must be"), "{error}");
+        assert!(error.starts_with("obstacle[1].radius = -1: must be"), "{error}");
         let error = second("position = [0.05, 0.5]\nvelocity = [0.01, 0.0]").unwrap_err().to_string();
-        assert!(error.starts_with("second_obstacle.position[0] = 0.05: must be"), "{error}");
+        assert!(error.starts_with("obstacle[1].position[0] = 0.05: must be"), "{error}");
         let error = second("radius = 0.1").unwrap_err().to_string();
         assert!(error.contains("must be another place"), "{error}");
         let error = second("postion = [0.3, 0.8]").unwrap_err().to_string();
         assert!(error.contains("postion"), "{error}");
-        assert!(!toml::to_string(&Scenario::default()).unwrap().contains("second_obstacle"));
+    }
+
+    #[test]
+    fn any_number_of_obstacles_up_to_the_maximum_survives_toml() {
+        for count in 0..=MAX_OBSTACLES + 1 {
+            let mut scenario = Scenario::default();
+            let place = |n| Vector2::new(0.5, 0.3 + 0.01 * n as f64);
+            scenario.obstacles =
+                (0..count).map(|n| Obstacle { position: place(n), ..Obstacle::PAPER }).collect();
+            let again = Scenario::from_toml(&toml::to_string(&scenario).unwrap());
+            match again {
+                Ok(again) => assert_eq!(again, scenario),
+                Err(error) => {
+                    assert_eq!(count, MAX_OBSTACLES + 1);
+                    assert_eq!(error.to_string(), "number of obstacles = 9: must be at most 8");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_former_spelling_names_the_new_one() {
+        for old in ["[obstacle]\nradius = 0.2", "[second_obstacle]\nposition = [0.5, 0.8]"] {
+            let error = Scenario::from_toml(old).unwrap_err().to_string();
+            assert!(error.contains("[[obstacle]]"), "{error}");
+        }
     }
 
     #[test]

@@ -165,8 +165,7 @@ impl Sim {
             tick: self.tick,
             position: scale.ned_from_paper(self.world.uav.r),
             velocity: scale.ned_from_paper_velocity(self.world.uav.v),
-            obstacle: scale.ned_from_paper(self.world.obstacle.r),
-            second_obstacle: self.world.second_obstacle.map(|o| scale.ned_from_paper(o.r)),
+            obstacles: self.world.obstacles.iter().map(|o| scale.ned_from_paper(o.r)).collect(),
             held: self.gate.held().filter(|_| matches!(self.control, Control::Station | Control::External)),
             link: self.link,
         }

@@ -10,6 +10,7 @@ use crate::radio::message::{Command, Telemetry};
 use crate::scenario::Scenario;
 use crate::units::{Tick, TxPower};
 use crate::world::energy;
+use crate::world::obstacles::Obstacles;
 
 /// Interval k of a flight: what was asked at its start, what had become of it at its end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,11 +37,8 @@ pub struct Record {
     pub r_next: Vector2<f64>,
     /// v_{k+1}
     pub v_next: Vector2<f64>,
-    /// Obstacle's position at k+1.
-    pub obstacle: Vector2<f64>,
-    /// The second one's, in a scenario that has one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub second_obstacle: Option<Vector2<f64>>,
+    /// Each obstacle's position at k+1, paper units, in the scenario's order.
+    pub obstacles: Obstacles,
     /// Ground-truth collision probability at k+1.
     pub p_coll: f64,
 }
@@ -65,9 +63,8 @@ impl Record {
             flown: after.held.map_or(Vector2::zeros(), |h| normalised(h.accel)),
             r_next,
             v_next: scale.paper_from_ned_velocity(after.velocity),
-            obstacle: obstacles.first,
-            second_obstacle: obstacles.second,
             p_coll: obstacles.collision_probability(r_next, scenario),
+            obstacles,
         }
     }
 }

@@ -14,7 +14,8 @@
 //! | `CHAN_REF_GAIN`, `CHAN_PL_EXP`, `CHAN_NLOS`, `CHAN_NOISE`, `CHAN_SNR_MIN` | the paper's | at boot |
 //! | `DYN_V_MAX`, `DYN_A_MAX`, `DYN_WALLS` | m/s; m/s²; 0 or 1 | at boot |
 //! | `WIND_KICK` | m/s, standard deviation an interval and axis | at boot |
-//! | `UAV_RADIUS`, `OBST_RADIUS`, `OBST_N`, `OBST_E` | m | at boot |
+//! | `UAV_RADIUS` | m | at boot |
+//! | `OBST_RADIUS`, `OBST_N`, `OBST_E`; of further obstacles `OBST2_RADIUS` ..., `OBST3_RADIUS` ... | m | at boot |
 //! | `START_N`, `START_E`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS` | m | at boot |
 //! | `SCALE_UNIT_M`, `SCALE_DT_S`, `SCALE_ALT_M` | m; s; m | read only |
 //! | `STAT_*` | frames and bytes that came, by what became of them; setpoints | read only, and change by themselves |
@@ -37,9 +38,10 @@ use crate::link::param_file::Entry;
 use crate::link::signing::Policy;
 use crate::link::wire::Target;
 use crate::link::{AUTOPILOT, PeerId, RADIO};
-use crate::scenario::{Action, Rule, Scenario};
+use crate::scenario::{Action, Obstacle, Rule, Scenario};
 use crate::sim::Sim;
 use crate::units::TxPower;
+use crate::world::obstacles::MAX_OBSTACLES;
 
 /// A parameter's place in its component's table, its name and what it holds.
 struct Param {
@@ -65,6 +67,8 @@ enum Holds {
     Of(Get),
     /// A value of the scenario; whoever reads it decides whether it takes effect before the next boot.
     Setting(Get, Set),
+    /// A length of the obstacle with this index, in a scenario that has so many; as [`Holds::Setting`].
+    Obstacle(usize, fn(&mut Obstacle) -> &mut f64),
 }
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
@@ -87,10 +91,19 @@ const fn int(name: &'static str, get: Get, set: Set) -> Param {
     Param { name, kind: INT, holds: Holds::Setting(get, set) }
 }
 
+const fn of_obstacle(index: usize, [radius, north, east]: [&'static str; 3]) -> [Param; 3] {
+    [
+        Param { name: radius, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.radius) },
+        Param { name: north, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.y) },
+        Param { name: east, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.x) },
+    ]
+}
+
 const fn count(name: &'static str, get: fn(&Counts) -> u64) -> Param {
     Param { name, kind: INT, holds: Holds::Count(get) }
 }
 
+/// The autopilot's table up to the obstacles.
 static OF_AUTOPILOT: &[Param] = &[
     Param { name: "SYSID_THISMAV", kind: INT, holds: Holds::System },
     rate("RATE_ATTITUDE", dialect::ATTITUDE_DATA::ID),
@@ -152,9 +165,21 @@ static OF_AUTOPILOT: &[Param] = &[
         |s, v| s.disturbance.sigma_c = v / s.scale.mps_per_speed() / s.disturbance.noise_gain,
     ),
     real("UAV_RADIUS", |s| metres(s, s.uav_radius), |s, v| s.uav_radius = units(s, v)),
-    real("OBST_RADIUS", |s| metres(s, s.obstacle.radius), |s, v| s.obstacle.radius = units(s, v)),
-    real("OBST_N", |s| metres(s, s.obstacle.position.y), |s, v| s.obstacle.position.y = units(s, v)),
-    real("OBST_E", |s| metres(s, s.obstacle.position.x), |s, v| s.obstacle.position.x = units(s, v)),
+];
+
+/// Between the two parts of the autopilot's table, as many rows as the scenario has obstacles.
+static OF_OBSTACLES: [[Param; 3]; MAX_OBSTACLES] = [
+    of_obstacle(0, ["OBST_RADIUS", "OBST_N", "OBST_E"]),
+    of_obstacle(1, ["OBST2_RADIUS", "OBST2_N", "OBST2_E"]),
+    of_obstacle(2, ["OBST3_RADIUS", "OBST3_N", "OBST3_E"]),
+    of_obstacle(3, ["OBST4_RADIUS", "OBST4_N", "OBST4_E"]),
+    of_obstacle(4, ["OBST5_RADIUS", "OBST5_N", "OBST5_E"]),
+    of_obstacle(5, ["OBST6_RADIUS", "OBST6_N", "OBST6_E"]),
+    of_obstacle(6, ["OBST7_RADIUS", "OBST7_N", "OBST7_E"]),
+    of_obstacle(7, ["OBST8_RADIUS", "OBST8_N", "OBST8_E"]),
+];
+
+static AFTER_OBSTACLES: &[Param] = &[
     real("START_N", |s| metres(s, s.start.y), |s, v| s.start.y = units(s, v)),
     real("START_E", |s| metres(s, s.start.x), |s, v| s.start.x = units(s, v)),
     real("GOAL_N", |s| metres(s, s.goal.y), |s, v| s.goal.y = units(s, v)),
@@ -197,14 +222,6 @@ fn units(scenario: &Scenario, metres: f64) -> f64 {
     metres / scenario.scale.metres_per_unit
 }
 
-fn table(component: u8) -> &'static [Param] {
-    if component == RADIO { OF_RADIO } else { OF_AUTOPILOT }
-}
-
-fn position(component: u8, name: &str) -> Option<usize> {
-    table(component).iter().position(|param| param.name == name)
-}
-
 /// Why a parameter of a file is not taken.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParamError {
@@ -244,13 +261,28 @@ impl Vehicle {
         Ok(vehicle)
     }
 
+    /// A component's table, in the order of its indices.
+    fn table(&self, component: u8) -> Vec<&'static Param> {
+        if component == RADIO {
+            return OF_RADIO.iter().collect();
+        }
+        let obstacles = OF_OBSTACLES.iter().take(self.settings.obstacles.len()).flatten();
+        OF_AUTOPILOT.iter().chain(obstacles).chain(AFTER_OBSTACLES).collect()
+    }
+
+    /// Index of the parameter with this name in a component's table.
+    fn position(&self, component: u8, name: &str) -> Option<usize> {
+        self.table(component).iter().position(|param| param.name == name)
+    }
+
     /// Sets the parameters of a file; what is read only is left alone.
     fn load_params(&mut self, params: &[Entry]) -> Result<(), ParamError> {
         for Entry { line, name, value } in params {
             let (line, name, value) = (*line, name.clone(), *value);
-            let found =
-                [AUTOPILOT, RADIO].into_iter().find_map(|c| position(c, &name).map(|index| &table(c)[index]));
-            let Some(param) = found else { return Err(ParamError::Unknown { line, name }) };
+            let found = [AUTOPILOT, RADIO].into_iter().flat_map(|component| self.table(component));
+            let Some(param) = found.into_iter().find(|param| param.name == name) else {
+                return Err(ParamError::Unknown { line, name });
+            };
             if !self.assign(param, value, Duration::ZERO) {
                 return Err(ParamError::Range { line, name, value });
             }
@@ -261,7 +293,7 @@ impl Vehicle {
     /// All parameters that can be set, with their present values, the radio's last.
     #[must_use]
     pub fn settable_params(&self) -> Vec<(&'static str, f32)> {
-        let params = OF_AUTOPILOT.iter().chain(OF_RADIO);
+        let params = [AUTOPILOT, RADIO].into_iter().flat_map(|component| self.table(component));
         params
             .filter(|param| param.is_settable())
             .map(|param| (param.name, self.value(param) as f32))
@@ -280,9 +312,9 @@ impl Vehicle {
     ) {
         let mut known = false;
         for component in self.meant(target) {
-            let Some(index) = position(component, name) else { continue };
+            let Some(index) = self.position(component, name) else { continue };
             known = true;
-            self.assign(&table(component)[index], value, now);
+            self.assign(self.table(component)[index], value, now);
             let told = self.param_value(component, index);
             for (&address, peer) in &mut self.peers {
                 let mut datagram = Vec::new();
@@ -306,8 +338,9 @@ impl Vehicle {
     ) {
         let mut found = false;
         for component in self.meant(target) {
-            let index = if index == -1 { position(component, name) } else { usize::try_from(index).ok() };
-            let known = index.filter(|&index| index < table(component).len());
+            let index =
+                if index == -1 { self.position(component, name) } else { usize::try_from(index).ok() };
+            let known = index.filter(|&index| index < self.table(component).len());
             found |= known.is_some();
             self.tell_params(component, known, from);
         }
@@ -336,7 +369,7 @@ impl Vehicle {
     /// PARAM_REQUEST_LIST.
     pub(super) fn param_list(&mut self, target: Target, from: PeerId) {
         for component in self.meant(target) {
-            self.tell_params(component, 0..table(component).len(), from);
+            self.tell_params(component, 0..self.table(component).len(), from);
         }
     }
 
@@ -358,8 +391,8 @@ impl Vehicle {
     }
 
     fn param_value(&self, component: u8, index: usize) -> dialect::PARAM_VALUE_DATA {
-        let params = table(component);
-        let param = &params[index];
+        let params = self.table(component);
+        let param = params[index];
         dialect::PARAM_VALUE_DATA {
             param_value: self.value(param) as f32,
             param_count: params.len() as u16,
@@ -379,6 +412,10 @@ impl Vehicle {
             Holds::Setpoints => self.tally.setpoints as f64,
             Holds::RefusedSetpoints => self.tally.refused.values().sum::<u64>() as f64,
             Holds::Of(get) | Holds::Setting(get, _) => get(&self.settings),
+            Holds::Obstacle(index, length) => {
+                let mut obstacle = self.settings.obstacles[index].clone();
+                metres(&self.settings, *length(&mut obstacle))
+            }
         }
     }
 
@@ -403,16 +440,19 @@ impl Vehicle {
             }
             Holds::SignRequired if value == 0.0 => self.signing.set_policy(Policy::Optional),
             Holds::SignRequired if value == 1.0 => self.signing.set_policy(Policy::Required),
-            Holds::Setting(_, set) if value >= 0.0 => self.set_setting(set, value),
+            Holds::Setting(_, set) if value >= 0.0 => self.set_setting(|s| set(s, value.into())),
+            Holds::Obstacle(index, length) if value >= 0.0 => self.set_setting(|s| {
+                *length(&mut s.obstacles[index]) = units(s, value.into());
+            }),
             _ => {}
         }
         self.value(param) as f32 == value
     }
 
     /// Changes the settings if what comes out is a scenario.
-    fn set_setting(&mut self, set: Set, value: f32) {
+    fn set_setting(&mut self, set: impl FnOnce(&mut Scenario)) {
         let mut settings = self.settings.clone();
-        set(&mut settings, value.into());
+        set(&mut settings);
         let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
         if settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6) {
             self.settings = settings;
@@ -422,6 +462,9 @@ impl Vehicle {
 
 impl Param {
     fn is_settable(&self) -> bool {
-        matches!(self.holds, Holds::Rate(_) | Holds::TxPower | Holds::SignRequired | Holds::Setting(..))
+        matches!(
+            self.holds,
+            Holds::Rate(_) | Holds::TxPower | Holds::SignRequired | Holds::Setting(..) | Holds::Obstacle(..)
+        )
     }
 }

@@ -331,13 +331,11 @@ impl Vehicle {
             };
         };
         let (world, scenario) = (self.sim.world(), self.sim.scenario());
-        let first = Some((world.obstacle, &scenario.obstacle));
-        let second = world.second_obstacle.zip(scenario.second_obstacle.as_ref());
-        let is_inside = |(state, obstacle): (State, &Obstacle)| {
+        let is_inside = |(state, obstacle): (&State, &Obstacle)| {
             let reach = obstacle.radius + scenario.uav_radius;
             state.v == Vector2::zeros() && (place - state.r).norm() < reach
         };
-        if first.into_iter().chain(second).any(is_inside) {
+        if world.obstacles.iter().zip(&scenario.obstacles).any(is_inside) {
             return no(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "inside the obstacle");
         }
         Ok(())

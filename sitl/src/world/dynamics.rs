@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 use crate::scenario::Dynamics;
 
 /// Position (units) and velocity (units per interval) of an entity, paper x/y.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
     /// r
     pub r: Vector2<f64>,

@@ -1,4 +1,4 @@
-//! The ground truth: a UAV, an obstacle or two and a base station in the unit square.
+//! The ground truth: a UAV, obstacles and a base station in the unit square.
 //!
 //! Knows the physics of the paper's Sec. IV-A and nothing of packets, controllers or protocols.
 
@@ -11,32 +11,26 @@ pub mod safety;
 
 use nalgebra::Vector2;
 
-use crate::scenario::{Obstacle, Scenario};
+use crate::scenario::Scenario;
 use crate::units::{Snr, TxPower};
 use dynamics::State;
-use obstacles::Obstacles;
+use obstacles::{Obstacles, PerObstacle};
 
 /// State of the world between two control intervals.
 #[derive(Debug, Clone, PartialEq)]
 pub struct World {
     /// The controllable entity.
     pub uav: State,
-    /// The uncontrollable entity.
-    pub obstacle: State,
-    /// A second one, in a scenario that has one.
-    pub second_obstacle: Option<State>,
+    /// The uncontrollable entities, in the scenario's order.
+    pub obstacles: PerObstacle<State>,
 }
 
 impl World {
     /// The world at tick 0 of a flight.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
-        let first = |o: &Obstacle| State { r: o.position, v: o.velocity };
-        Self {
-            uav: State::at_rest(scenario.start),
-            obstacle: first(&scenario.obstacle),
-            second_obstacle: scenario.second_obstacle.as_ref().map(first),
-        }
+        let obstacles = scenario.obstacles.iter().map(|o| State { r: o.position, v: o.velocity });
+        Self { uav: State::at_rest(scenario.start), obstacles: obstacles.collect() }
     }
 
     /// One control interval: normalised acceleration `a`, velocity disturbance `kick`.
@@ -45,18 +39,17 @@ impl World {
         self.step_obstacles(scenario);
     }
 
-    /// The obstacles move on alone, each through the other.
+    /// The obstacles move on alone, each through the others.
     pub fn step_obstacles(&mut self, scenario: &Scenario) {
-        self.obstacle = dynamics::step_obstacle(self.obstacle, scenario.obstacle.margin);
-        if let (Some(state), Some(second)) = (&mut self.second_obstacle, &scenario.second_obstacle) {
-            *state = dynamics::step_obstacle(*state, second.margin);
+        for (state, obstacle) in self.obstacles.iter_mut().zip(&scenario.obstacles) {
+            *state = dynamics::step_obstacle(*state, obstacle.margin);
         }
     }
 
-    /// Where the obstacles are.
+    /// Where the obstacles are, paper units.
     #[must_use]
     pub fn obstacles(&self) -> Obstacles {
-        Obstacles { first: self.obstacle.r, second: self.second_obstacle.map(|o| o.r) }
+        self.obstacles.iter().map(|o| o.r).collect()
     }
 
     /// Received SNR at transmit power `power`.

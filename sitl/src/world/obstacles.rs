@@ -1,39 +1,114 @@
-//! Where the obstacles are, one or two, and what they do together to risk and radio.
+//! A scenario's obstacles as one list, and what they do together to collision risk and radio.
 //!
-//! The paper has one. With two, a collision is one with either, and the channel is that of the obstacle
-//! which blocks more: NLOS is a state of the link, and a second obstacle in the same sight line makes
-//! it no more so (our choice; docs/choices.md).
+//! The paper has one obstacle. With several, a collision is one with any of them, and the channel is
+//! that of the obstacle which blocks most: NLOS is a state of the link, and a further obstacle in the
+//! same sight line does not change it (our choice; docs/choices.md). With none, the sight line is free
+//! and the collision probability is 0.
 
 use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
 
 use super::{channel, safety};
 use crate::scenario::{Obstacle, Scenario};
 
-/// Centres, paper units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Obstacles {
-    /// r_u
-    pub first: Vector2<f64>,
-    /// The second one's, in a scenario that has one.
-    pub second: Option<Vector2<f64>>,
+/// Maximum number of obstacles in a scenario. The wire allows nine: the name of a DEBUG_VECT has ten
+/// characters, and `OBSTACLE_9` is the last one that fits.
+pub const MAX_OBSTACLES: usize = 8;
+
+/// One value for each obstacle, in the scenario's order: a list of at most [`MAX_OBSTACLES`] that is
+/// copied like an array and read like a slice.
+#[derive(Clone, Copy)]
+pub struct PerObstacle<T> {
+    items: [T; MAX_OBSTACLES],
+    len: usize,
+}
+
+/// Centres of the obstacles r_u, paper units.
+pub type Obstacles = PerObstacle<Vector2<f64>>;
+
+impl<T: Copy + Default> FromIterator<T> for PerObstacle<T> {
+    /// Values beyond [`MAX_OBSTACLES`] are left out; [`Scenario::check`] refuses so many obstacles.
+    fn from_iter<I: IntoIterator<Item = T>>(values: I) -> Self {
+        let mut list = Self::default();
+        for (slot, value) in list.items.iter_mut().zip(values) {
+            *slot = value;
+            list.len += 1;
+        }
+        list
+    }
+}
+
+impl<T: Copy + Default, const N: usize> From<[T; N]> for PerObstacle<T> {
+    fn from(values: [T; N]) -> Self {
+        values.into_iter().collect()
+    }
+}
+
+impl<T: Copy + Default> Default for PerObstacle<T> {
+    fn default() -> Self {
+        Self { items: [T::default(); MAX_OBSTACLES], len: 0 }
+    }
+}
+
+impl<T> std::ops::Deref for PerObstacle<T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        &self.items[..self.len]
+    }
+}
+
+impl<T> std::ops::DerefMut for PerObstacle<T> {
+    fn deref_mut(&mut self) -> &mut [T] {
+        &mut self.items[..self.len]
+    }
+}
+
+impl<T: PartialEq> PartialEq for PerObstacle<T> {
+    fn eq(&self, other: &Self) -> bool {
+        self[..] == other[..]
+    }
+}
+
+impl<T: std::fmt::Debug> std::fmt::Debug for PerObstacle<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self[..].fmt(f)
+    }
+}
+
+impl<T: Serialize> Serialize for PerObstacle<T> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self[..].serialize(serializer)
+    }
+}
+
+impl<'de, T: Copy + Default + Deserialize<'de>> Deserialize<'de> for PerObstacle<T> {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let values = Vec::<T>::deserialize(deserializer)?;
+        if values.len() > MAX_OBSTACLES {
+            return Err(serde::de::Error::invalid_length(values.len(), &"at most 8 obstacles"));
+        }
+        Ok(values.into_iter().collect())
+    }
 }
 
 impl Obstacles {
     /// Centre and parameters of each.
-    fn each<'a>(&self, scenario: &'a Scenario) -> impl Iterator<Item = (Vector2<f64>, &'a Obstacle)> {
-        let second = self.second.zip(scenario.second_obstacle.as_ref());
-        std::iter::once((self.first, &scenario.obstacle)).chain(second)
+    pub fn each<'a>(&self, scenario: &'a Scenario) -> impl Iterator<Item = (Vector2<f64>, &'a Obstacle)> {
+        self.iter().copied().zip(&scenario.obstacles)
     }
 
-    /// |h|² from the base station to `uav`: the smallest that one of them leaves.
+    /// |h|² from the base station to `uav`: the smallest that one of them leaves; that of a free sight
+    /// line where there is none.
     #[must_use]
     pub fn gain(&self, uav: Vector2<f64>, scenario: &Scenario) -> f64 {
         self.each(scenario)
             .map(|(centre, o)| channel::gain(uav, centre, o.radius, &scenario.channel))
-            .fold(f64::INFINITY, f64::min)
+            .reduce(f64::min)
+            .unwrap_or_else(|| channel::los_gain(uav, &scenario.channel))
     }
 
-    /// Blockage probability of the sight line to `uav`: the largest of theirs.
+    /// Blockage probability of the sight line to `uav`: the largest of theirs, 0 where there is none.
     #[must_use]
     pub fn blockage(&self, uav: Vector2<f64>, scenario: &Scenario) -> f64 {
         self.each(scenario)
@@ -41,7 +116,7 @@ impl Obstacles {
             .fold(0.0, f64::max)
     }
 
-    /// Boundary distance between `uav` and the nearer one.
+    /// Boundary distance between `uav` and the nearest one, units; infinite where there is none.
     #[must_use]
     pub fn clearance(&self, uav: Vector2<f64>, scenario: &Scenario) -> f64 {
         self.each(scenario)
@@ -49,7 +124,7 @@ impl Obstacles {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// p_coll = 1 - Π (1 - p_i).
+    /// p_coll = 1 - Π (1 - p_i); 0 where there is none.
     #[must_use]
     pub fn collision_probability(&self, uav: Vector2<f64>, scenario: &Scenario) -> f64 {
         let (d_min, softness) = (scenario.safety.d_min, scenario.safety.softness);
@@ -65,28 +140,36 @@ impl Obstacles {
 mod tests {
     use super::*;
 
+    /// The default obstacle and one at (0.5, 0.8).
     fn two() -> Scenario {
-        Scenario::from_toml("[second_obstacle]\nposition = [0.5, 0.8]\n").unwrap()
+        Scenario::from_toml("[[obstacle]]\n[[obstacle]]\nposition = [0.5, 0.8]\n").unwrap()
     }
 
     #[test]
     fn one_obstacle_is_the_papers_to_the_last_bit() {
         let s = Scenario::default();
-        let (uav, first) = (Vector2::new(0.41, 0.52), s.obstacle.position);
-        let alone = Obstacles { first, second: None };
-        let clearance = safety::clearance(uav, first, s.uav_radius, s.obstacle.radius);
-        assert_eq!(alone.gain(uav, &s), channel::gain(uav, first, s.obstacle.radius, &s.channel));
+        let Obstacle { position: first, radius, .. } = *s.obstacle();
+        let (uav, alone) = (Vector2::new(0.41, 0.52), Obstacles::from([first]));
+        let clearance = safety::clearance(uav, first, s.uav_radius, radius);
+        assert_eq!(alone.gain(uav, &s), channel::gain(uav, first, radius, &s.channel));
         assert_eq!(alone.clearance(uav, &s), clearance);
         let p = safety::collision_probability(clearance, s.safety.d_min, s.safety.softness);
         assert_eq!(alone.collision_probability(uav, &s), p);
     }
 
     #[test]
+    fn none_blocks_nothing_and_none_collides() {
+        let s = Scenario::from_toml("obstacle = []").unwrap();
+        let (uav, none) = (Vector2::new(0.5, 0.45), Obstacles::default());
+        assert_eq!(none.gain(uav, &s), channel::los_gain(uav, &s.channel));
+        assert_eq!([none.blockage(uav, &s), none.collision_probability(uav, &s)], [0.0; 2]);
+    }
+
+    #[test]
     fn either_one_blocks_and_either_one_collides() {
         let s = two();
-        let (first, second) = (s.obstacle.position, s.second_obstacle.as_ref().unwrap().position);
-        let both = Obstacles { first, second: Some(second) };
-        let without = Obstacles { first, second: None };
+        let [first, second] = [0, 1].map(|n: usize| s.obstacles[n].position);
+        let (both, without) = (Obstacles::from([first, second]), Obstacles::from([first]));
         // Beyond the second, whose shadow the first one's does not reach.
         let s_off = {
             let mut s = s.clone();
@@ -96,12 +179,12 @@ mod tests {
         let uav = Vector2::new(0.2, 0.8);
         assert!(both.gain(uav, &s_off) < 0.2 * without.gain(uav, &s_off));
         // In both shadows the channel is no worse than in one.
-        let (uav, alone) = (Vector2::new(0.5, 0.97), Obstacles { first: second, second: None });
+        let (uav, alone) = (Vector2::new(0.5, 0.97), Obstacles::from([second]));
         assert_eq!(both.gain(uav, &s), without.gain(uav, &s).min(alone.gain(uav, &s)));
         // At contact with one, far from the other: one half; between two contacts: three quarters.
-        let near = Vector2::new(0.5 + s.obstacle.radius + s.uav_radius, 0.8);
+        let near = Vector2::new(0.5 + s.obstacles[0].radius + s.uav_radius, 0.8);
         assert!((both.collision_probability(near, &s) - 0.5).abs() < 1e-5);
-        let close = Obstacles { first: near + Vector2::new(0.12, 0.0), second: Some(second) };
+        let close = Obstacles::from([near + Vector2::new(0.12, 0.0), second]);
         assert!((close.collision_probability(near, &s) - 0.75).abs() < 1e-6);
         assert!((both.clearance(near, &s)).abs() < 1e-12);
     }

@@ -96,7 +96,7 @@ mod tests {
         for (a, b) in seen.telemetry.position.iter().zip(sim.telemetry().position) {
             assert!((a - b).abs() < 1e-3);
         }
-        assert_eq!(seen.telemetry.obstacle, sim.telemetry().obstacle);
+        assert_eq!(seen.telemetry.obstacles, sim.telemetry().obstacles);
     }
 
     /// One radio: behind the obstacle this scene loses the packet that `sitl` loses there.

@@ -74,7 +74,7 @@ impl Flight {
         let ticks = |of: &dyn Fn(&Record) -> bool| -> Vec<u64> {
             records.iter().filter(|r| of(r)).map(|r| r.tick.0).collect()
         };
-        let obstacle = scenario.obstacle.position;
+        let obstacle = scenario.obstacle().position;
         Ok(Self {
             controller: contender.controller,
             metrics,

@@ -9,6 +9,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::scenario::new_spelling;
 use serde::{Deserialize, Serialize};
 
 use crate::station::pilot::Controller;
@@ -142,19 +143,15 @@ impl Plan {
     /// The scenario in which `axis` has the value `x`.
     pub fn scenario_at(&self, x: f64) -> Result<Scenario> {
         let axis = &self.axis;
-        let mut root = toml::Table::try_from(&self.scenario)?;
-        let (tables, key) = axis.rsplit_once('.').map_or((None, axis.as_str()), |(t, key)| (Some(t), key));
-        let mut table = &mut root;
-        for name in tables.into_iter().flat_map(|t| t.split('.')) {
-            let inner = table.get_mut(name).and_then(toml::Value::as_table_mut);
-            table = inner.with_context(|| format!("axis = {axis:?}: a scenario has no such key"))?;
-        }
-        match table.get_mut(key) {
-            Some(toml::Value::Float(value)) => *value = x,
-            Some(toml::Value::Integer(value)) if x.fract() == 0.0 => *value = x as i64,
-            Some(toml::Value::Integer(_)) => bail!("{axis} = {x}: must be a whole number"),
-            Some(_) => bail!("axis = {axis:?}: must be a number of the scenario"),
-            None => bail!("axis = {axis:?}: a scenario has no such key"),
+        let mut root = toml::Value::try_from(&self.scenario)?;
+        match entry(&mut root, axis).with_context(|| format!("axis = {axis:?}"))? {
+            toml::Value::Float(value) => *value = x,
+            toml::Value::Integer(value) if x.fract() == 0.0 => *value = x as i64,
+            toml::Value::Integer(_) => bail!("{axis} = {x}: must be a whole number"),
+            toml::Value::Array(all) => {
+                bail!("axis = {axis:?}: name one of its entries, {axis}[0] to [{}]", all.len() - 1)
+            }
+            _ => bail!("axis = {axis:?}: must be a number of the scenario"),
         }
         Scenario::from_toml(&toml::to_string(&root)?)
     }
@@ -175,6 +172,25 @@ impl Plan {
         let (ours, theirs) = (toml::Table::try_from(self)?, toml::Table::try_from(other)?);
         Ok(difference("", &ours, &theirs))
     }
+}
+
+/// The value under a key such as `radio.b_dt`, `goal[0]` or `obstacle[1].position[0]`.
+fn entry<'a>(root: &'a mut toml::Value, key: &str) -> Result<&'a mut toml::Value> {
+    let former = new_spelling(key.split('.').next().unwrap_or_default());
+    let unknown = || former.map_or("a scenario has no such key".into(), |new| format!("this is now {new}"));
+    let mut value = root;
+    for part in key.split('.') {
+        let (name, indices) = part.split_once('[').map_or((part, None), |(name, rest)| (name, Some(rest)));
+        value = value.get_mut(name).with_context(unknown)?;
+        for index in indices.into_iter().flat_map(|all| all.split('[')) {
+            let index =
+                index.strip_suffix(']').and_then(|n| n.parse::<usize>().ok()).with_context(unknown)?;
+            let count = value.as_array().with_context(unknown)?.len();
+            let unset = || format!("{name} has {count} entries here; set further ones under [scenario]");
+            value = value.get_mut(index).with_context(unset)?;
+        }
+    }
+    Ok(value)
 }
 
 fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<String> {
@@ -271,11 +287,34 @@ mod tests {
     }
 
     #[test]
+    fn an_entry_of_a_list_is_an_axis() {
+        for (axis, x, get) in [
+            ("goal[0]", 0.8, (|s| s.goal.x) as fn(&Scenario) -> f64),
+            ("start[1]", 0.3, |s| s.start.y),
+            ("channel.base_station[0]", 0.2, |s| s.channel.base_station.x),
+            ("obstacle[0].position[0]", 0.6, |s| s.obstacles[0].position.x),
+            ("obstacle[1].radius", 0.04, |s| s.obstacles[1].radius),
+        ] {
+            let two = "[[scenario.obstacle]]\n[[scenario.obstacle]]\nposition = [0.3, 0.8]\n";
+            let file = FILE.replace("radio.b_dt", axis).replace("[2.5, 4.0]", &format!("[{x}]"));
+            let plan = plan(&format!("{file}{two}")).unwrap();
+            assert_eq!(get(&plan.scenario_at(x).unwrap()), x, "{axis}");
+        }
+    }
+
+    #[test]
     fn nonsense_is_named() {
         let with = |from: &str, to: &str| FILE.replace(from, to);
         for (text, part) in [
             (with("radio.b_dt", "radio.bandwith"), "axis = \"radio.bandwith\": a scenario has no such key"),
             (with("radio.b_dt", "name"), "must be a number"),
+            (with("radio.b_dt", "goal"), "name one of its entries, goal[0] to [1]"),
+            (with("radio.b_dt", "goal[2]"), "goal has 2 entries here"),
+            (with("radio.b_dt", "goal[x]"), "a scenario has no such key"),
+            (with("radio.b_dt", "obstacle[1].radius"), "obstacle has 1 entries here; set further ones"),
+            (with("radio.b_dt", "obstacle[0].raduis"), "a scenario has no such key"),
+            (with("radio.b_dt", "obstacle.radius"), "this is now one table [[obstacle]]"),
+            (with("radio.b_dt", "second_obstacle.radius"), "as an axis, obstacle[1]"),
             (with("2.5", "-1.0"), "radio.b_dt = -1"),
             (with("2.5", "4.0"), "points: 4 stands there twice"),
             (with("[2.5, 4.0]", "[]"), "at least one each"),

@@ -2,7 +2,7 @@
 //! them at every interval. It shows what can be had, and cannot be built in practice.
 //!
 //! Beam search over motions that are held a few intervals each, without disturbance; both sides of
-//! the obstacle survive the pruning (all of it our choice; docs/choices.md).
+//! the first obstacle survive the pruning (all of it our choice; docs/choices.md).
 
 use crpl_sitl::Scenario;
 use crpl_sitl::units::{Motion, TxPower};
@@ -17,7 +17,7 @@ use super::reactive::Present;
 const HOLD: usize = 4;
 /// Motions in a row.
 const DEPTH: usize = 7;
-/// Nodes that survive on each side of the obstacle.
+/// Nodes that survive on each side of the first obstacle.
 const SIDE: usize = 12;
 /// Weights of distance, motion and power, as in CRPL's objective.
 const LAMBDA: [f64; 3] = [0.05, 1e-4, 1e-5];
@@ -71,7 +71,7 @@ fn search(now: &Present, scenario: &Scenario) -> Motion {
         if nodes.len() > 2 * SIDE {
             let mut kept = [0; 2];
             nodes.retain(|node| {
-                let side = usize::from(node.state.r.y > now.obstacles.first.y);
+                let side = usize::from(now.obstacles.first().is_some_and(|o| node.state.r.y > o.y));
                 kept[side] += 1;
                 kept[side] <= SIDE
             });

@@ -27,7 +27,7 @@ impl Crpl {
     /// The executed actions of π_s and π_p.
     #[must_use]
     pub fn decide(&self, now: Latents) -> (Motion, TxPower) {
-        let x = features(now.y_c, now.y_c_before, now.y_u, self.latent_scale, self.v_max);
+        let x = features(now.y_c, now.y_c_before, now.first_y_u(), self.latent_scale, self.v_max);
         self.policies.act(&x)
     }
 }

@@ -63,9 +63,9 @@ impl MatchedPower {
 
     /// γ at a_p = 1 as the channel head predicts it for this interval, linear.
     fn snr_at_low(&self, now: Latents) -> f64 {
-        let gain = |y_u: [f32; 2]| f64::from(self.heads.log_gain(now.y_c, y_u)).exp();
-        // Of two obstacles the one that blocks more.
-        let gain = now.y_u_second.map_or(f64::INFINITY, gain).min(gain(now.y_u));
+        let gain = |y_u: &[f32; 2]| f64::from(self.heads.log_gain(now.y_c, *y_u)).exp();
+        // That of the obstacle which blocks most.
+        let gain = now.y_u.iter().map(gain).fold(f64::INFINITY, f64::min);
         gain * TxPower::Low.level() / self.radio.noise_power
     }
 }

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::units::{Motion, TxPower};
-use crpl_sitl::world::obstacles::Obstacles;
 use nalgebra::Vector2;
 
 use super::crpl::Crpl;
@@ -45,9 +44,8 @@ impl Memory {
         let plane = |y: Option<Vector2<f64>>| y.map_or([0.0; 2], |y| [y.x as f32, y.y as f32]);
         let y_c = plane(world.probe.c.invert(now.r));
         let y_c_before = self.before.replace(y_c).unwrap_or(y_c);
-        let y_u = |place| plane(world.probe.u.invert(place));
-        let Obstacles { first, second } = now.obstacles;
-        Latents { y_c, y_c_before, y_u: y_u(first), y_u_second: second.map(y_u) }
+        let y_u = now.obstacles.iter().map(|place| plane(world.probe.u.invert(*place))).collect();
+        Latents { y_c, y_c_before, y_u }
     }
 }
 
@@ -60,11 +58,11 @@ mod tests {
     fn they_are_what_the_encoder_sees() {
         let world = WorldModel::embedded().unwrap();
         let scenario = Scenario::default();
-        let obstacle = scenario.obstacle.position;
+        let obstacle = scenario.obstacle().position;
         let mut memory = Memory::default();
         let mut before = None;
         for r in [Vector2::new(0.3, 0.7), Vector2::new(0.33, 0.69)] {
-            let obstacles = Obstacles { first: obstacle, second: None };
+            let obstacles = [obstacle].into();
             let exact = memory.latents(&world, &Present { r, v: Vector2::zeros(), obstacles, link: None });
             let seen = world.encode(&camera::render(r, obstacle, &scenario));
             // A hundredth of the frame is one pixel; the latents' scale is S units a side.

@@ -48,8 +48,7 @@ pub struct CrplRh {
     latent_scale: f32,
     v_max: f32,
     horizon: u64,
-    first: Track,
-    second: Track,
+    tracks: Vec<Track>,
 }
 
 impl CrplRh {
@@ -71,8 +70,7 @@ impl CrplRh {
             latent_scale: latent_scale as f32,
             v_max: limits.v_max as f32,
             horizon,
-            first: Track::default(),
-            second: Track::default(),
+            tracks: Vec::new(),
         }
     }
 
@@ -92,11 +90,11 @@ impl CrplRh {
 
     /// The belief to plan from: the obstacles with their speeds.
     fn here(&mut self, tick: Tick, now: Latents) -> Here {
-        self.first.follow(tick, now.y_u);
-        let second = now.y_u_second.map(|y_u| {
-            self.second.follow(tick, y_u);
-            self.second.last_two(y_u)
+        self.tracks.resize_with(now.y_u.len(), Track::default);
+        let followed = self.tracks.iter_mut().zip(now.y_u.iter()).map(|(track, y_u)| {
+            track.follow(tick, *y_u);
+            track.last_two(*y_u)
         });
-        Here { y_c: [now.y_c, now.y_c_before], y_u: self.first.last_two(now.y_u), second }
+        Here { y_c: [now.y_c, now.y_c_before], y_u: followed.collect() }
     }
 }

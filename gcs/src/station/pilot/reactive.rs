@@ -60,23 +60,22 @@ impl Task {
     /// That of a scenario.
     #[must_use]
     pub fn of(scenario: &Scenario) -> Self {
-        let obstacles = std::iter::once(&scenario.obstacle).chain(&scenario.second_obstacle);
         Self {
             goal: scenario.goal,
             limits: MotionLimits::of(scenario),
             safety: scenario.safety.clone(),
             snr_min: scenario.channel.snr_min,
             uav_radius: scenario.uav_radius,
-            obstacle_radii: obstacles.map(|o| o.radius).collect(),
+            obstacle_radii: scenario.obstacles.iter().map(|o| o.radius).collect(),
         }
     }
 
     /// Boundary distance between a UAV at `r` and the nearest obstacle, units.
     fn clearance(&self, r: Vector2<f64>, obstacles: &Obstacles) -> f64 {
-        std::iter::once(obstacles.first)
-            .chain(obstacles.second)
+        obstacles
+            .iter()
             .zip(&self.obstacle_radii)
-            .map(|(centre, radius)| safety::clearance(r, centre, self.uav_radius, *radius))
+            .map(|(centre, radius)| safety::clearance(r, *centre, self.uav_radius, *radius))
             .fold(f64::INFINITY, f64::min)
     }
 }

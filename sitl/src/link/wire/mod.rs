@@ -4,8 +4,7 @@
 //! |---|---|---|---|
 //! | `Telemetry` position, velocity | LOCAL_POSITION_NED | 1 | x, vx north; y, vy east; z, vz down |
 //! | `Telemetry::held` | POSITION_TARGET_LOCAL_NED | 1 | afx north, afy east, m/s²; `time_boot_ms` is *that command's*; mask 3135, or 0x0FFF before the first delivery |
-//! | `Telemetry::obstacle` | DEBUG_VECT `OBSTACLE` | 1 | x north, y east, z radius, m |
-//! | `Telemetry::second_obstacle` | DEBUG_VECT `OBSTACLE_2`, where there is one | 1 | as `OBSTACLE`, before it |
+//! | `Telemetry::obstacles` | DEBUG_VECT `OBSTACLE`; of further ones `OBSTACLE_2`, `OBSTACLE_3` ..., the last first | 1 | x north, y east, z radius, m |
 //! | `LinkReport` (from tick 1 on) | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 68 | dB; 1 or 4; 0 or 1 |
 //! | `LinkReport` for any station | RADIO_STATUS | 68 | rssi = 127 + 2 · SNR in dB, within 0..=254 |
 //! | `Percept::frame` | image protocol, see [`super::image`] | 1 | PNG |
@@ -23,8 +22,9 @@ use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
 use super::{AUTOPILOT, RADIO};
 use crate::radio::message::{Command, Held, LinkReport, Telemetry};
-use crate::scenario::{Obstacle, Scenario};
+use crate::scenario::Scenario;
 use crate::units::{Tick, TxPower};
+use crate::world::obstacles::{MAX_OBSTACLES, PerObstacle};
 
 /// MAV_CMD_USER_1, here: transmit power of the station's radio.
 pub const CMD_TX_POWER: u16 = 31010;
@@ -41,9 +41,19 @@ const MASK_IGNORES_ACCEL: u16 = 64 | 128 | 256;
 const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
 const MASK_FORCE: u16 = 512;
 
-/// Names of the obstacles' DEBUG_VECTs.
-const OBSTACLE: &str = "OBSTACLE";
-const SECOND_OBSTACLE: &str = "OBSTACLE_2";
+/// Name of the DEBUG_VECT of the obstacle with this index: `OBSTACLE`, `OBSTACLE_2`, `OBSTACLE_3` ...
+fn obstacle_name(index: usize) -> String {
+    if index == 0 { "OBSTACLE".into() } else { format!("OBSTACLE_{}", index + 1) }
+}
+
+/// The index that such a name means.
+fn obstacle_index(name: &str) -> Option<usize> {
+    let index = match name.strip_prefix("OBSTACLE")? {
+        "" => 0,
+        number => number.strip_prefix('_')?.parse::<usize>().ok()?.checked_sub(1)?,
+    };
+    (index < MAX_OBSTACLES && obstacle_name(index) == name).then_some(index)
+}
 
 const FRAME_LOCAL_NED: u8 = 1;
 /// GLOBAL_RELATIVE_ALT and its old integer twin.
@@ -55,8 +65,7 @@ const FRAMES_GLOBAL: [u8; 4] = [0, 3, 5, 6];
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clock {
     interval_s: f64,
-    obstacle_radius_m: f32,
-    second_obstacle_radius_m: Option<f32>,
+    radii_m: PerObstacle<f32>,
 }
 
 impl Clock {
@@ -64,12 +73,8 @@ impl Clock {
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let scale = &scenario.scale;
-        let radius_m = |obstacle: &Obstacle| (obstacle.radius * scale.metres_per_unit) as f32;
-        Self {
-            interval_s: scale.interval_s,
-            obstacle_radius_m: radius_m(&scenario.obstacle),
-            second_obstacle_radius_m: scenario.second_obstacle.as_ref().map(radius_m),
-        }
+        let radii_m = scenario.obstacles.iter().map(|o| (o.radius * scale.metres_per_unit) as f32);
+        Self { interval_s: scale.interval_s, radii_m: radii_m.collect() }
     }
 
     /// `time_boot_ms` of a tick.
@@ -141,17 +146,15 @@ pub fn push_held(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, dat
     autopilot.push(datagram, &target);
 }
 
-/// Appends DEBUG_VECT `OBSTACLE`, and before it `OBSTACLE_2` where there is a second one: the first
-/// report of a flight ends with `OBSTACLE`.
+/// Appends a DEBUG_VECT for each obstacle, `OBSTACLE` last: the first report of a flight ends with it.
 pub fn push_obstacles(report: &Telemetry, clock: &Clock, autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     let time_usec = u64::from(clock.boot_ms(report.tick)) * 1000;
-    let mut push = |[x, y]: [f32; 2], z: f32, name: &str| {
-        autopilot.push(datagram, &dialect::DEBUG_VECT_DATA { time_usec, x, y, z, name: name.into() });
-    };
-    if let Some((place, radius)) = report.second_obstacle.zip(clock.second_obstacle_radius_m) {
-        push(place, radius, SECOND_OBSTACLE);
+    for (n, ([x, y], z)) in
+        report.obstacles.iter().copied().zip(clock.radii_m.iter().copied()).enumerate().rev()
+    {
+        let name = obstacle_name(n).as_str().into();
+        autopilot.push(datagram, &dialect::DEBUG_VECT_DATA { time_usec, x, y, z, name });
     }
-    push(report.obstacle, clock.obstacle_radius_m, OBSTACLE);
 }
 
 /// Appends NAMED_VALUE_FLOAT `SNR_DB`, `TXP` and `OUTAGE`.
@@ -197,8 +200,7 @@ struct Open {
     position: [f32; 2],
     velocity: [f32; 2],
     held: Option<Option<Held>>,
-    obstacle: Option<[f32; 2]>,
-    second_obstacle: Option<[f32; 2]>,
+    obstacles: PerObstacle<Option<[f32; 2]>>,
     snr_db: Option<f32>,
     power: Option<TxPower>,
     outage: Option<bool>,
@@ -248,8 +250,7 @@ impl Open {
             position: finite([fields.f32(4), fields.f32(8)])?,
             velocity: finite([fields.f32(16), fields.f32(20)])?,
             held: None,
-            obstacle: None,
-            second_obstacle: None,
+            obstacles: clock.radii_m.iter().map(|_| None).collect(),
             snr_db: None,
             power: None,
             outage: None,
@@ -273,20 +274,13 @@ impl Open {
                 self.held = Some(held);
             }
             dialect::DEBUG_VECT_DATA::ID => {
-                let name = fields.text(20, 10);
-                let slot = match name.as_str() {
-                    OBSTACLE => &mut self.obstacle,
-                    SECOND_OBSTACLE => &mut self.second_obstacle,
-                    _ => return Some(()),
-                };
+                let Some(index) = obstacle_index(&fields.text(20, 10)) else { return Some(()) };
                 if fields.u64(0) != u64::from(self.boot_ms) * 1000 {
                     return None;
                 }
-                *slot = Some(finite([fields.f32(8), fields.f32(12)])?);
                 // A vehicle with another number of obstacles flies another scenario.
-                if name == OBSTACLE
-                    && self.second_obstacle.is_some() != clock.second_obstacle_radius_m.is_some()
-                {
+                *self.obstacles.get_mut(index)? = Some(finite([fields.f32(8), fields.f32(12)])?);
+                if index == 0 && self.obstacles.contains(&None) {
                     return None;
                 }
             }
@@ -320,8 +314,7 @@ impl Open {
             tick: self.tick,
             position: self.position,
             velocity: self.velocity,
-            obstacle: self.obstacle?,
-            second_obstacle: self.second_obstacle,
+            obstacles: self.obstacles.iter().copied().collect::<Option<_>>()?,
             held: self.held?,
             link,
         })

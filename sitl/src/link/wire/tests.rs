@@ -24,18 +24,23 @@ fn report(tick: u64) -> Telemetry {
         tick: Tick(tick),
         position: [250.1, 50.2],
         velocity: [-1.5, 12.25],
-        obstacle: [225.0, 250.0],
-        second_obstacle: None,
+        obstacles: [[225.0, 250.0]].into(),
         held: Some(Held { tick: Tick(tick - 1), accel: [10.9375, -0.0] }),
         link: Some(LinkReport { snr_db: -3.21, power: TxPower::High, outage: true }),
     }
 }
 
 #[test]
-fn a_second_obstacle_arrives_where_the_scenario_has_one() {
-    let scenario = Scenario::from_toml("[second_obstacle]\nposition = [0.5, 0.8]\nradius = 0.05\n").unwrap();
-    let two = Clock::new(&scenario);
-    let sent = Telemetry { second_obstacle: Some([400.0, 250.5]), ..report(9) };
+fn every_obstacle_of_the_scenario_arrives() {
+    let clock_of = |count: usize| {
+        let mut scenario = Scenario::default();
+        scenario.obstacles = vec![scenario.obstacle().clone(); count];
+        Clock::new(&scenario)
+    };
+    let of = |count: usize, tick: u64| Telemetry {
+        obstacles: (0..count).map(|n| [225.0 + n as f32, 250.5]).collect(),
+        ..report(tick)
+    };
     let packets = |report: &Telemetry, clock: &Clock| {
         let mut datagram = Vec::new();
         let (mut autopilot, mut radio) = (Encoder::new(7, AUTOPILOT), Encoder::new(7, RADIO));
@@ -46,13 +51,18 @@ fn a_second_obstacle_arrives_where_the_scenario_has_one() {
         let mut reader = TelemetryReader::default();
         (sent.iter().filter_map(|p| reader.push(p, clock)).collect::<Vec<_>>(), reader.malformed())
     };
-    assert_eq!(heard(&packets(&sent, &two), &two), (vec![sent], 0));
-    // The first report, without a radio's, too.
-    let first = Telemetry { tick: Tick(0), held: None, link: None, ..sent };
-    assert_eq!(heard(&packets(&first, &two), &two), (vec![first], 0));
+    for count in 0..=MAX_OBSTACLES {
+        let (clock, sent) = (clock_of(count), of(count, 9));
+        assert_eq!(heard(&packets(&sent, &clock), &clock), (vec![sent], 0), "{count}");
+        // The first report, without a radio's, too.
+        let first = Telemetry { tick: Tick(0), held: None, link: None, ..sent };
+        assert_eq!(heard(&packets(&first, &clock), &clock), (vec![first], 0), "{count}");
+    }
     // A station and a vehicle that disagree on the number hear nothing of each other, and count it.
-    assert_eq!(heard(&packets(&sent, &two), &clock()), (vec![], 1));
-    assert_eq!(heard(&packets(&report(9), &clock()), &two), (vec![], 1));
+    for (vehicle, station) in [(2, 1), (1, 2), (3, 2), (1, 3)] {
+        let sent = packets(&of(vehicle, 9), &clock_of(vehicle));
+        assert_eq!(heard(&sent, &clock_of(station)), (vec![], 1), "{vehicle} and {station}");
+    }
 }
 
 prop_compose! {
@@ -69,8 +79,7 @@ prop_compose! {
             tick: Tick(tick),
             position: [x, y],
             velocity: [vx, vy],
-            obstacle: [ox, oy],
-            second_obstacle: None,
+            obstacles: [[ox, oy]].into(),
             held: behind.map(|b| Held { tick: Tick(tick.saturating_sub(b)), accel: [ax, ay] }),
             link: (tick > 0).then_some(LinkReport { snr_db, power, outage }),
         }
