@@ -6,9 +6,10 @@
 use std::path::{Path, PathBuf};
 
 use crpl_gcs::lab::run;
-use crpl_gcs::lab::{self, Contender, Scored};
+use crpl_gcs::lab::{self, Contender};
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::noise::{Noise, Stream};
@@ -22,14 +23,14 @@ fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs").join(name)
 }
 
-fn fly(controller: Controller, name: &str) -> Vec<Scored> {
+fn fly(controller: Controller, name: &str) -> Vec<FlightScore> {
     let scenario = Scenario::load(&config(name)).unwrap();
     let contender = Contender::new(&Models::load(None, None).unwrap(), controller, &scenario).unwrap();
     (0..FLIGHTS).map(|seed| contender.fly(seed).unwrap()).collect()
 }
 
-fn riskiest(flights: &[Scored]) -> f64 {
-    flights.iter().map(|flight| flight.metrics.p_coll_max).fold(0.0, f64::max)
+fn riskiest(flights: &[FlightScore]) -> f64 {
+    flights.iter().map(|flight| flight[Metric::CollisionProbability]).fold(0.0, f64::max)
 }
 
 /// Means over 20 flights: p_coll 0.01 and 0.02, d_f 0.01 and 0.02. The limits here are wide: contact is 0.5.
@@ -38,7 +39,7 @@ fn crpl_rh_goes_round_what_flies_into_crpl() {
     for name in ["moving_fast.toml", "two_obstacles.toml"] {
         let flights = fly(Controller::CrplRh, name);
         assert!(riskiest(&flights) < 0.2, "{name}: {flights:?}");
-        let far = flights.iter().map(|flight| flight.metrics.d_f).fold(0.0, f64::max);
+        let far = flights.iter().map(|flight| flight[Metric::TerminalDistance]).fold(0.0, f64::max);
         assert!(far < 0.1, "{name}: {flights:?}");
         let blind = fly(Controller::Crpl, name);
         assert!(riskiest(&blind) > 0.4, "{name} asks nothing: {blind:?}");
@@ -133,7 +134,7 @@ fn a_third_obstacle_is_a_toml() {
     let models = Models::load(None, None).unwrap();
     let scenario = Scenario::load(&file).unwrap();
     let flown = Contender::new(&models, Controller::Apc, &scenario).unwrap().fly(0).unwrap();
-    assert!(flown.metrics.p_coll_max < 0.5 && flown.metrics.reached, "{flown:?}");
+    assert!(flown[Metric::CollisionProbability] < 0.5 && flown.is(FlightOutcome::Reached), "{flown:?}");
     let error = Contender::new(&models, Controller::CrplRh, &scenario).err().unwrap().to_string();
     assert!(error.contains("3 obstacles") && error.contains("1 to 2"), "{error}");
 }
@@ -144,7 +145,8 @@ fn a_flight_without_obstacles_is_a_free_one() {
     let models = Models::load(None, None).unwrap();
     for controller in [Controller::Apc, Controller::Rcc, Controller::Ucc] {
         let flown = Contender::new(&models, controller, &scenario).unwrap().fly(0).unwrap();
-        assert!(flown.metrics.reached && flown.metrics.p_coll_max == 0.0, "{controller}: {flown:?}");
+        let p_coll = flown[Metric::CollisionProbability];
+        assert!(flown.is(FlightOutcome::Reached) && p_coll == 0.0, "{controller}: {flown:?}");
     }
     assert!(Contender::new(&models, Controller::Crpl, &scenario).is_err());
 }
