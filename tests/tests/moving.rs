@@ -92,10 +92,11 @@ fn two_obstacles_over_udp_are_those_in_process() {
 
     let config = config("two_obstacles.toml");
     let (config, out) = (config.to_str().unwrap(), folder.path().join("run"));
-    let sitl = ["--pace", "lockstep", "--config", config, "--seed", "5", "--ticks", "30"];
+    let sitl = ["--pace", "lockstep", "--scenario", config, "--seed", "5", "--ticks", "30"];
     let (sitl, address) = program::sitl(&sitl).unwrap();
     let connect = format!("udpout:{address}");
-    let fly = ["fly", "--connect", &connect, "--config", config, "--controller", "crpl-rh", "--ticks", "30"];
+    let fly =
+        ["fly", "--connect", &connect, "--scenario", config, "--controller", "crpl-rh", "--ticks", "30"];
     program::run("gcs", &[fly.as_slice(), &["--out", out.to_str().unwrap()]].concat())
         .unwrap()
         .good()

@@ -140,7 +140,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("journal.csv");
         std::fs::write(&path, format!("{}\n{}\nnonsense\n", Episode::HEAD, episode(0).line())).unwrap();
-        let error = crpl_sitl::program::cli::one_line(&Journal::open(&path).unwrap_err());
+        let error = crpl_sitl::program::terminal::one_line(&Journal::open(&path).unwrap_err());
         assert!(error.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{error}");
         std::fs::write(&path, "a,b\n").unwrap();
         assert!(Journal::open(&path).unwrap_err().to_string().contains("line 1"));
