@@ -12,8 +12,8 @@ use crpl_model::training::{ablation_command, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::TrainConfig;
 use crpl_sitl::Scenario;
-use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::program::terminal;
+use crpl_sitl::program::timing::Stopwatch;
 
 /// Train and evaluate CRPL's world model.
 #[derive(Debug, Parser)]
