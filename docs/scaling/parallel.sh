@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# A sweep in N shares with GNU parallel: on this machine, or on those in $SSHLOGINFILE (a shared folder, the
+# A sweep in N shards with GNU parallel: on this machine, or on those in $SSHLOGINFILE (a shared folder, the
 # program in the same place).
 #   docs/scaling/parallel.sh CONFIG N OUT [more flags of `gcs sweep`]
 set -euo pipefail
-config=$1 shares=$2 out=$3
+config=$1 shards=$2 out=$3
 shift 3
 gcs=${GCS:-target/release/gcs}
 
-# --retries: a share that dies goes on where it was. --joblog says how long each took.
+# --retries: a shard that dies resumes. --joblog says how long each took.
 mkdir -p "$out"
-seq "$shares" | parallel --will-cite --quote --halt soon,fail=1 --retries 3 --joblog "$out/jobs.log" \
+seq "$shards" | parallel --will-cite --quote --halt soon,fail=1 --retries 3 --joblog "$out/jobs.log" \
     ${SSHLOGINFILE:+--sshloginfile "$SSHLOGINFILE" --workdir .} \
-    "$gcs" sweep --config "$config" --shard "{}/$shares" --threads 1 --out "$out/share-{}" "$@" > /dev/null
+    "$gcs" sweep --config "$config" --shard "{}/$shards" --threads 1 --out "$out/shard-{}" "$@" > /dev/null
 
-"$gcs" merge "$out"/share-* --out "$out/whole"
+"$gcs" merge "$out"/shard-* --out "$out/whole"

@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use crpl_gcs::lab::{Contender, demo};
+use crpl_gcs::lab::Contender;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::camera::Frame;
@@ -18,7 +18,7 @@ use crpl_sitl::{Scenario, Sim};
 
 fn main() {
     let models = Models::load(None, None).expect("the shipped world model");
-    let scenario = demo::scenario().expect("the demo's scenario");
+    let scenario = Scenario::named("demo").expect("a preset");
     for controller in Controller::value_variants() {
         // A controller that has no policy for this scenario cannot be measured in it.
         let Ok(contender) = Contender::new(&models, *controller, &scenario) else { continue };

@@ -1,4 +1,4 @@
-//! `gcs`: flies a UAV from pictures.
+//! `gcs`: flies a UAV from camera frames.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -9,21 +9,21 @@ use crpl_gcs::flight::foreign::guide::Stack;
 use crpl_gcs::flight::foreign::{self, Foreign};
 use crpl_gcs::flight::{self, Options};
 use crpl_gcs::lab::demo::{self, Flight};
-use crpl_gcs::lab::episodes::{self, Episodes};
-use crpl_gcs::lab::report;
 use crpl_gcs::lab::run::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{check, optimise};
-use crpl_gcs::station::models::Models;
+use crpl_gcs::lab::{check, episodes, optimise, report};
+use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
-use crpl_gcs::tools::outs::{self, Out};
+use crpl_gcs::tools::{bridge, mission, param, replay};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::cli::Pace;
+use crpl_sitl::program::terminal::{self, folder, positive};
+use crpl_sitl::scenario::presets;
 
-/// A ground station that flies a UAV from pictures: CRPL and its baselines over MAVLink.
+/// A ground station that flies a UAV from camera frames over MAVLink: CRPL and its baselines.
 #[derive(Debug, Parser)]
-#[command(name = "gcs", version)]
+#[command(name = "gcs", version, max_term_width = 100)]
 struct Args {
     #[command(subcommand)]
     command: Command,
@@ -31,138 +31,115 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Start a vehicle and fly it over UDP, once by each controller, with the same gusts.
+    /// Start a simulated vehicle and fly it with each controller, with equal gusts
     Demo(Demo),
-    /// Fly a vehicle that is there.
+    /// Fly an already running vehicle
     Fly(Fly),
-    /// Fly many seeds in process, pictures rendered and encoded, and print means with intervals.
-    Episodes(Episodes),
-    /// Optimise CRPL's two policies in latent space for a scenario (Algorithm 1)
+    /// Fly many seeds in process and print means with confidence intervals
+    Episodes(episodes::Episodes),
+    /// Optimise CRPL's two policies for a scenario (Algorithm 1)
     Optimise(optimise::Optimise),
-    /// Count how many closed-loop flights of a policy keep each chance constraint
+    /// Measure how often flights of a policy keep each chance constraint
     Check(check::Check),
-    /// Fly a sweep: one key of the scenario against the paper's metrics, controllers paired by seeds.
+    /// Fly a sweep: the paper's metrics against one key of the scenario
     Sweep(sweep::Sweep),
-    /// Join the shares of a sweep.
+    /// Join the shards of a sweep
     Merge(merge::Merge),
-    /// Draw the paper's figures: one page, SVG, PNG, CSV and text.
+    /// Draw the paper's figures: HTML page, SVG, PNG, CSV and text
     Report(report::Report),
-    /// Share a vehicle among tools: a MAVLink router with counters.
-    Bridge(crpl_gcs::tools::bridge::Bridge),
-    /// List, read, set, load and save a vehicle's parameters.
-    Param(crpl_gcs::tools::param::Params),
-    /// Upload, download and clear a vehicle's mission.
-    Mission(crpl_gcs::tools::mission::Missions),
-    /// Send a flight that is over to whoever watches, from its tlog or its record.
-    Replay(crpl_gcs::tools::replay::Replay),
-    /// Run the vehicle: the same program as `sitl`.
+    /// Route MAVLink between a vehicle and several tools, and count packets
+    Bridge(bridge::Bridge),
+    /// List, read, set, load and save a vehicle's parameters
+    Param(param::Params),
+    /// Upload, download and clear a vehicle's mission
+    Mission(mission::Missions),
+    /// Send a recorded flight to whoever watches
+    Replay(replay::Replay),
+    /// Run the simulated vehicle: the same program as `sitl`
     Sitl(crpl_sitl::program::cli::Args),
 }
 
-/// What is flown, and by which trained things.
 #[derive(Debug, clap::Args)]
-struct Task {
-    /// Scenario file (TOML); what it leaves out keeps the paper's values.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// The paper's scenario: puts the obstacle beside (1) or in (2) the direct path.
-    #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
-    scenario: Option<u8>,
-    /// Folder of a world model; without it the one that ships with the program.
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
-    /// File with CRPL's policies; without it those that ship with the program.
-    #[arg(long, value_name = "FILE")]
-    policy: Option<PathBuf>,
-}
-
-impl Task {
-    fn scenario(&self, or: impl FnOnce() -> Result<Scenario>) -> Result<Scenario> {
-        let mut scenario = match &self.config {
-            Some(path) => Scenario::load(path)?,
-            None => or()?,
-        };
-        if let Some(number) = self.scenario {
-            // A file's own name tells more than the number that it has already.
-            if scenario.number() != Some(number) {
-                scenario.set_number(number)?;
-            }
-        }
-        Ok(scenario)
-    }
-
-    fn models(&self) -> Result<Models> {
-        Models::load(self.checkpoint.as_deref(), self.policy.clone())
-    }
-}
-
-#[derive(Debug, clap::Args)]
+#[command(after_help = presets::table())]
 struct Demo {
+    /// Scenario: TOML file or preset
+    #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
+    scenario: String,
     #[command(flatten)]
-    task: Task,
-    /// Who flies, in turn.
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["crpl", "rcc"])]
+    models: ModelFiles,
+    /// Controllers to fly, in this order
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
     controller: Vec<Controller>,
-    /// Seed of the disturbance.
+    /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Real time, or one tick per command.
+    /// What makes a control interval pass
     #[arg(long, value_enum, default_value = "lockstep")]
     pace: Pace,
-    /// How many times faster than real time.
-    #[arg(long, value_name = "X", default_value_t = 1.0)]
-    speedup: f64,
-    /// Sign the flight: file with the key, TOML with `key` (64 hexadecimal digits) or `passphrase`; the
-    /// vehicle, which then takes nothing unsigned, keeps its own in FILE.1
+    /// Speed relative to real time, with --pace realtime
+    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    speed: f64,
+    /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
+    /// The vehicle refuses unsigned messages and stores its own key in FILE.1
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
-    /// Folder for the run folders, one a controller [default: runs/demo]; or who may watch the flights:
-    /// udpout:HOST:PORT and the like, several if given again
-    #[arg(long, value_name = "DIR|ENDPOINT")]
-    out: Vec<Out>,
-    /// Print JSON.
+    /// Folder for the run folders, one per controller
+    #[arg(long, value_name = "DIR", default_value = "runs/demo", value_parser = folder)]
+    out: PathBuf,
+    /// Forward the flights to this endpoint, such as udpout:HOST:PORT; repeatable
+    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
+    forward: Vec<Endpoint>,
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Debug, clap::Args)]
+#[command(after_help = presets::table())]
 struct Fly {
+    /// Scenario: TOML file or preset [default: 2, or foreign for a foreign autopilot]
+    #[arg(long, value_name = "FILE|NAME")]
+    scenario: Option<String>,
     #[command(flatten)]
-    task: Task,
-    /// udpout:HOST:PORT of a vehicle that listens, udpin:HOST:PORT to wait for one that speaks first.
+    models: ModelFiles,
+    /// Endpoint of the vehicle: udpout:HOST:PORT if it listens, udpin:HOST:PORT to wait for it; or
+    /// tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT")]
     connect: Endpoint,
-    /// What is flown: our own vehicle, or a foreign autopilot, which is armed and taken off.
+    /// Kind of vehicle; a foreign autopilot is armed and takes off
     #[arg(long, value_enum, default_value = "sitl")]
     vehicle: Vehicle,
-    /// System id of a foreign vehicle [default: the first that is heard].
+    /// System id of a foreign vehicle [default: the first one heard]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
-    /// How many times faster than real time a foreign vehicle's simulator runs.
-    #[arg(long, value_name = "X", default_value = "1", value_parser = crpl_sitl::program::cli::parse_speedup)]
-    speedup: f64,
-    /// File with the key of message signing: TOML with `key` (64 hexadecimal digits) or `passphrase`.
+    /// Speed of a foreign vehicle's simulator relative to real time
+    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    speed: f64,
+    /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
-    /// Who flies.
+    /// Controller to fly
     #[arg(long, value_enum, default_value = "crpl")]
     controller: Controller,
-    /// End after N control intervals [default: the scenario's horizon].
+    /// Stop after N control intervals [default: the scenario's horizon]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
-    /// Run folder [default: runs/flight]; or who may watch the flight, and take it over by a change of
-    /// mode: udpout:HOST:PORT and the like, several if given again
-    #[arg(long, value_name = "DIR|ENDPOINT")]
-    out: Vec<Out>,
-    /// Print JSON.
+    /// Run folder
+    #[arg(long, value_name = "DIR", default_value = "runs/flight", value_parser = folder)]
+    out: PathBuf,
+    /// Forward the flight to this endpoint, such as udpout:HOST:PORT; an operator there can take over by a
+    /// change of mode; repeatable
+    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
+    forward: Vec<Endpoint>,
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Whose rules a vehicle follows.
+/// The autopilot whose protocol a vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Vehicle {
-    /// Our own
+    /// The simulator of this project
     Sitl,
     /// ArduCopter, flown in GUIDED
     Ardupilot,
@@ -181,51 +158,47 @@ impl Vehicle {
 }
 
 async fn demo(args: Demo) -> Result<()> {
-    let scenario = args.task.scenario(demo::scenario)?;
-    let models = args.task.models()?;
+    let scenario = Scenario::named(&args.scenario)?;
+    let models = args.models.load()?;
     let mut flights = Vec::new();
-    let (out, outs) = outs::sorted(&args.out, "runs/demo");
     for controller in args.controller {
         let flight = Flight {
             controller,
             scenario: &scenario,
             seed: args.seed,
             pace: args.pace,
-            speedup: args.speedup,
+            speed: args.speed,
             signing_key: args.signing_key.as_deref(),
-            outs: &outs,
+            forward: &args.forward,
         };
-        let dir = out.join(controller.to_string());
+        let dir = args.out.join(controller.to_string());
         let Some(summary) = demo::fly(&models, &flight, &dir).await? else { break };
         flights.push(summary);
     }
-    report(&flights, args.json)?;
+    print_flights(&flights, args.json)?;
     if !args.json {
-        println!("records, tlog and plot in {}", out.display());
+        println!("records, tlog and plot in {}", args.out.display());
     }
     Ok(())
 }
 
 async fn fly(args: Fly) -> Result<()> {
     let foreign = args.vehicle.foreign();
-    let scenario = args.task.scenario(|| match foreign {
-        Some(_) => foreign::scenario(),
-        None => Ok(Scenario::default()),
-    })?;
-    let mut station = args.task.models()?.station(args.controller, &scenario)?;
-    let (out, outs) = outs::sorted(&args.out, "runs/flight");
-    run::begin(&out, &scenario)?;
+    let preset = if foreign.is_some() { "foreign" } else { "2" };
+    let scenario = Scenario::named(args.scenario.as_deref().unwrap_or(preset))?;
+    let mut station = args.models.load()?.station(args.controller, &scenario)?;
+    run::begin(&args.out, &scenario)?;
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
-        tlog: Some(out.join("flight.tlog")),
+        tlog: Some(args.out.join("flight.tlog")),
         signing_key: args.signing_key,
-        outs,
+        forward: args.forward,
         ..Options::default()
     };
     tracing::info!(controller = %args.controller, scenario = scenario.name, "connecting to {}", args.connect);
     let flown = match foreign {
         Some(stack) => {
-            let how = Foreign { stack, system: args.sysid, speedup: args.speedup };
+            let how = Foreign { stack, system: args.sysid, speed: args.speed };
             foreign::fly(&args.connect, &scenario, &how, &options, |p| station.handle(p)).await?
         }
         None => flight::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?,
@@ -235,15 +208,15 @@ async fn fly(args: Fly) -> Result<()> {
     }
     let summary = Summary::of(args.controller, None, &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(&out, &summary, station.records(), &scenario)?;
-    report(std::slice::from_ref(&summary), args.json)?;
+    run::end(&args.out, &summary, station.records(), &scenario)?;
+    print_flights(std::slice::from_ref(&summary), args.json)?;
     if !args.json {
-        println!("records, tlog and plot in {}", out.display());
+        println!("records, tlog and plot in {}", args.out.display());
     }
     Ok(())
 }
 
-fn report(flights: &[Summary], json: bool) -> Result<()> {
+fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
@@ -252,31 +225,20 @@ fn report(flights: &[Summary], json: bool) -> Result<()> {
     Ok(())
 }
 
-fn run_command(command: Command) -> Result<()> {
-    let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_all().build().context("starting the runtime")?;
-    match command {
-        Command::Demo(args) => runtime.block_on(demo(args)),
-        Command::Fly(args) => runtime.block_on(fly(args)),
-        Command::Bridge(args) => runtime.block_on(crpl_gcs::tools::bridge::run(args)),
-        Command::Param(args) => runtime.block_on(crpl_gcs::tools::param::run(args)),
-        Command::Mission(args) => runtime.block_on(crpl_gcs::tools::mission::run(args)),
-        Command::Replay(args) => runtime.block_on(crpl_gcs::tools::replay::run(args)),
-        Command::Sitl(args) => runtime.block_on(crpl_sitl::program::cli::run(args)),
+fn main() -> ExitCode {
+    terminal::main(|args: Args| match args.command {
+        Command::Demo(args) => terminal::block_on(demo(args)),
+        Command::Fly(args) => terminal::block_on(fly(args)),
+        Command::Bridge(args) => terminal::block_on(bridge::run(args)),
+        Command::Param(args) => terminal::block_on(param::run(args)),
+        Command::Mission(args) => terminal::block_on(mission::run(args)),
+        Command::Replay(args) => terminal::block_on(replay::run(args)),
+        Command::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
         Command::Episodes(args) => episodes::run(&args),
         Command::Optimise(args) => optimise::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Merge(args) => merge::run(&args),
         Command::Report(args) => report::run(&args),
-    }
-}
-
-fn main() -> ExitCode {
-    let args = match Args::try_parse() {
-        Ok(args) => args,
-        Err(error) => return crpl_sitl::program::cli::usage(&error),
-    };
-    crpl_sitl::program::cli::log();
-    crpl_sitl::program::cli::outcome(run_command(args.command))
+    })
 }

@@ -1,4 +1,4 @@
-//! `model collect | train | evaluate | optimise | check`: makes the data, the world model and the policies.
+//! `model`: makes the training data and the world model, and measures it.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -12,11 +12,12 @@ use crpl_model::training::{ablation_command, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::TrainConfig;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::terminal;
 use crpl_sitl::program::timing::Stopwatch;
 
-/// The world model of CRPL: its data, its training.
+/// Train and evaluate CRPL's world model.
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(name = "model", version, max_term_width = 100)]
 struct Args {
     #[command(subcommand)]
     command: Command,
@@ -24,89 +25,84 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Fly random actions and write the episodes.
+    /// Fly random actions and write the episodes
     Collect(Collect),
-    /// Train the world model and write its checkpoint.
+    /// Train the world model and write its checkpoint
     Train(Train),
-    /// Train the MLP and the LSTM anew that the linear predictor is compared with.
+    /// Train the MLP and LSTM predictors on the latents of a world model
     Predictors(NetworksOf),
-    /// Train with one ingredient changed, row by row, and print what it costs.
+    /// Train with one ingredient of the recipe changed at a time and print the errors
     Ablate(ablation_command::Ablate),
-    /// Print where encoders break: errors on harder cameras and in harder states.
-    Hard(ablation_command::Hard),
-    /// Measure a world model on fresh pictures and draw the paper's Fig. 3.
+    /// Print an encoder's errors with degraded cameras and in difficult states
+    Robustness(ablation_command::Robustness),
+    /// Evaluate a world model on held-out frames and draw the paper's Fig. 3
     Evaluate(evaluation::command::Evaluate),
 }
 
 #[derive(Debug, clap::Args)]
 struct Collect {
-    /// What differs from the defaults (TOML).
-    #[arg(long)]
+    /// Training parameters that differ from the defaults (TOML)
+    #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Seed; overrides the configuration's.
-    #[arg(long)]
+    /// Override the seed of the training parameters
+    #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Folder for episodes.safetensors and config.toml.
-    #[arg(long)]
+    /// Folder for episodes.safetensors and config.toml
+    #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
 struct Train {
-    /// What differs from the defaults (TOML).
-    #[arg(long)]
+    /// Training parameters that differ from the defaults (TOML)
+    #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Seed; overrides the configuration's.
-    #[arg(long)]
+    /// Override the seed of the training parameters
+    #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// burn's backend.
+    /// Backend of burn, the tensor library
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
-    /// Folder of `model collect`; without it the data are made anew.
-    #[arg(long)]
+    /// Folder written by `model collect` [default: collect new data]
+    #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Folder for the checkpoint.
-    #[arg(long, default_value = "runs/model")]
+    /// Folder for the checkpoint
+    #[arg(long, value_name = "DIR", default_value = "runs/model")]
     out: PathBuf,
-    /// Go on with a run that was stopped.
+    /// Resume an interrupted run
     #[arg(long)]
     resume: bool,
-    /// Less data, seconds instead of minutes; the figures are not those of the recipe.
+    /// Use less data: seconds instead of minutes, with lower accuracy
     #[arg(long)]
     quick: bool,
-    /// Print the results as JSON.
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct NetworksOf {
-    /// Folder of the world model on whose latents they learn; without it the shipped one.
-    #[arg(long)]
+    /// Folder of the world model that gives the latents [default: the built-in one]
+    #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// What differs from the defaults (TOML); `networks` is read.
-    #[arg(long)]
+    /// Training parameters that differ from the defaults (TOML); only [networks] is used
+    #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Seed; overrides the configuration's.
-    #[arg(long)]
+    /// Override the seed of the training parameters
+    #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Folder for the networks and their learning curves.
-    #[arg(long)]
+    /// Folder for the networks and their learning curves
+    #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
 fn main() -> ExitCode {
-    let args = match Args::try_parse() {
-        Ok(args) => args,
-        Err(error) => return crpl_sitl::program::cli::usage(&error),
-    };
-    crpl_sitl::program::cli::log();
-    crpl_sitl::program::cli::outcome(match args.command {
+    terminal::main(|args: Args| match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
         Command::Ablate(args) => ablation_command::ablate(&args),
-        Command::Hard(args) => ablation_command::hard(&args),
+        Command::Robustness(args) => ablation_command::robustness(&args),
         Command::Evaluate(args) => evaluation::command::run(&args),
     })
 }

@@ -33,7 +33,7 @@ fn main() {
 async fn run() {
     let base = Scenario::default();
     let (mut shells, mut addresses) = (Vec::new(), Vec::new());
-    for index in 0..fleet::MOST {
+    for index in 0..fleet::MAX_VEHICLES {
         let sim = Sim::new(fleet::scenario(&base, 1, index), index as u64);
         let vehicle = Vehicle::new(sim, index as u8 + 1, Some(TICKS));
         let endpoint = "udpin:127.0.0.1:0".parse().expect("an endpoint");

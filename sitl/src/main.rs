@@ -1,5 +1,7 @@
 //! The `sitl` program. Everything is in the library, where `gcs sitl` finds it too.
 
+use crpl_sitl::program::{cli, terminal};
+
 fn main() -> std::process::ExitCode {
-    crpl_sitl::program::cli::main()
+    terminal::main(|args| terminal::block_on(cli::run(args)))
 }

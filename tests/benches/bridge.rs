@@ -94,9 +94,9 @@ fn main() {
         if std::env::args().any(|arg| arg == "--bench") { LENGTH } else { Duration::from_millis(50) };
     let station = UdpSocket::bind("127.0.0.1:0").unwrap();
     let out = format!("udpout:{}", station.local_addr().unwrap());
-    let args = ["bridge", "--master", "udpin:127.0.0.1:0", "--out", &out, "--stats", "0"];
+    let args = ["bridge", "--connect", "udpin:127.0.0.1:0", "--forward", &out, "--every", "0"];
     let bridge = Program::start("gcs", &args, None).unwrap();
-    let address = bridge.line("master: listening on udpin:").unwrap();
+    let address = bridge.line("vehicle: listening on udpin:").unwrap();
     let ours = measure(&vehicle(&address), station, length);
     ours.print("gcs bridge");
     drop(bridge);

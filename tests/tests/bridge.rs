@@ -1,4 +1,4 @@
-//! `gcs bridge` and `--out` of a flight as tools meet them: the real programs, over UDP and TCP.
+//! `gcs bridge` and `--forward` of a flight as tools meet them: the real programs, over UDP and TCP.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
 
@@ -15,12 +15,12 @@ use crpl_sitl::link::encoder::Encoder;
 use tests::program::{self, PATIENCE, Program};
 use tests::python;
 
-/// `gcs bridge` between `master` and one listening `out`; gives the port of that, and of the metrics.
+/// `gcs bridge` between the vehicle at `master` and one listening `out`; gives the port of that, and of the metrics.
 fn bridge(master: &str, out: &str, tlog: &Path) -> (Program, SocketAddr, SocketAddr) {
-    let args = ["bridge", "--master", master, "--out", out, "--metrics", "127.0.0.1:0", "--stats", "0"];
+    let args = ["bridge", "--connect", master, "--forward", out, "--metrics", "127.0.0.1:0", "--every", "0"];
     let log = ["--tlog", tlog.to_str().unwrap()];
     let bridge = Program::start("gcs", &[&args[..], &log].concat(), None).unwrap();
-    let out = bridge.line("out: listening on ").unwrap();
+    let out = bridge.line("forward: listening on ").unwrap();
     let (_, address) = out.split_once(':').unwrap();
     let metrics = bridge.line("metrics: http://").unwrap();
     let metrics = metrics.strip_suffix("/metrics").unwrap().parse().unwrap();
@@ -40,13 +40,13 @@ fn metric(address: SocketAddr, name: &str, link: &str) -> f64 {
 }
 
 fn flown(endpoint: &str, folder: &Path) -> String {
-    let args = ["fly", "--connect", endpoint, "--config", "configs/demo.toml", "--out"];
+    let args = ["fly", "--connect", endpoint, "--scenario", "demo", "--out"];
     program::run("gcs", &[&args[..], &[folder.to_str().unwrap()]].concat()).unwrap().good().unwrap();
     std::fs::read_to_string(folder.join("record.jsonl")).unwrap()
 }
 
 fn vehicle() -> (Program, SocketAddr) {
-    let args = ["--pace", "lockstep", "--config", "configs/demo.toml", "--seed", "5", "--ticks", "100"];
+    let args = ["--pace", "lockstep", "--scenario", "demo", "--seed", "5", "--ticks", "100"];
     program::sitl(&args).unwrap()
 }
 
@@ -81,7 +81,7 @@ fn a_flight_through_the_bridge_is_the_flight_without_it() {
     }
 }
 
-/// Somebody else at the vehicle, through a flight's `--out`.
+/// Somebody else at the vehicle, through a flight's `--forward`.
 struct Operator {
     socket: UdpSocket,
     flight: Option<SocketAddr>,
@@ -124,7 +124,7 @@ impl Operator {
 #[test]
 fn an_operator_watches_a_flight_and_takes_it_over() {
     let folder = tempfile::tempdir().unwrap();
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--config", "configs/demo.toml"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--scenario", "demo"]).unwrap();
     let mut operator = Operator::new();
     let gcs = Program::start(
         "gcs",
@@ -132,9 +132,9 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
             "fly",
             "--connect",
             &format!("udpout:{address}"),
-            "--config",
-            "configs/demo.toml",
-            "--out",
+            "--scenario",
+            "demo",
+            "--forward",
             &operator.endpoint(),
             "--out",
             folder.path().to_str().unwrap(),
@@ -197,11 +197,11 @@ fn what_cannot_be_opened_is_said_in_one_line() {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let taken = format!("udpin:{}", socket.local_addr().unwrap());
     for (args, word) in [
-        (vec!["--master", "udpout:127.0.0.1:9", "--out", taken.as_str()], "in use"),
-        (vec!["--master", "serial:/dev/null:9", "--out", "udpin:127.0.0.1:0"], "only udpin"),
-        (vec!["--master", "udpout:127.0.0.1:9"], "--out"),
+        (vec!["--connect", "udpout:127.0.0.1:9", "--forward", taken.as_str()], "in use"),
+        (vec!["--connect", "serial:/dev/null:9", "--forward", "udpin:127.0.0.1:0"], "only udpin"),
+        (vec!["--connect", "udpout:127.0.0.1:9"], "--forward"),
         (
-            vec!["--master", "udpin:127.0.0.1:0", "--out", "udpin:127.0.0.1:0", "--tlog", "/no/where"],
+            vec!["--connect", "udpin:127.0.0.1:0", "--forward", "udpin:127.0.0.1:0", "--tlog", "/no/where"],
             "/no/where",
         ),
     ] {

@@ -28,7 +28,7 @@ use tests::relay::Relay;
 const SEED: u64 = 5;
 
 fn scenario() -> Scenario {
-    lab::demo::scenario().unwrap()
+    Scenario::named("demo").unwrap()
 }
 
 fn models() -> Models {
@@ -86,7 +86,8 @@ fn over_udp(controller: Controller, drop_every: Option<u64>, folder: &Path) -> S
     std::fs::write(&config, toml::to_string(&scenario()).unwrap()).unwrap();
     let config = config.to_str().unwrap();
     let (sitl, address) =
-        program::sitl(&["--pace", "lockstep", "--config", config, "--seed", "5", "--ticks", "100"]).unwrap();
+        program::sitl(&["--pace", "lockstep", "--scenario", config, "--seed", "5", "--ticks", "100"])
+            .unwrap();
     let relay = drop_every.map(|every| Relay::to(address, every).unwrap());
     let address = relay.as_ref().map_or(address, Relay::address);
     let out = folder.join("run");
@@ -96,7 +97,7 @@ fn over_udp(controller: Controller, drop_every: Option<u64>, folder: &Path) -> S
         &format!("udpout:{address}"),
         "--controller",
         &controller.to_string(),
-        "--config",
+        "--scenario",
         config,
         "--out",
         out.to_str().unwrap(),
@@ -138,7 +139,7 @@ fn the_stations_ledger_tells_the_gates_fates() {
 fn real_time_lives() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("demo");
-    let args = ["demo", "--pace", "realtime", "--speedup", "20", "--json", "--out", out.to_str().unwrap()];
+    let args = ["demo", "--pace", "realtime", "--speed", "20", "--json", "--out", out.to_str().unwrap()];
     let printed = program::run("gcs", &args).unwrap().good().unwrap();
     let report: serde_json::Value = serde_json::from_str(&printed).unwrap();
     for flight in report["flights"].as_array().unwrap() {
@@ -231,9 +232,13 @@ fn bad_input_is_refused_in_one_line() {
     let config = config.to_str().unwrap();
     for program in ["sitl", "gcs"] {
         let first: &[&str] = if program == "gcs" { &["demo"] } else { &[] };
-        refused(program, &[first, &["--speed"]].concat(), &["--speed"]);
-        refused(program, &[first, &["--config", config]].concat(), &["typo.toml", "bandwith"]);
-        refused(program, &[first, &["--config", "nowhere.toml"]].concat(), &["nowhere.toml"]);
+        refused(program, &[first, &["--sped"]].concat(), &["--sped"]);
+        refused(program, &[first, &["--scenario", config]].concat(), &["typo.toml", "bandwith"]);
+        refused(
+            program,
+            &[first, &["--scenario", "nowhere.toml"]].concat(),
+            &["nowhere.toml", "presets: 1, 2,"],
+        );
     }
     refused("gcs", &["fly", "--connect", "udpout:nohost"], &["nohost"]);
     refused("gcs", &["optimise", "--config", config], &["typo.toml", "radio"]);

@@ -38,7 +38,7 @@ fn story(stacks: (Stack, guide::Stack), mut meddle: impl FnMut(f64, &mut Autopil
     let models = Models::load(None, None).unwrap();
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
     let mut autopilot = Autopilot::new(stacks.0, [-7.0, 21.0], true);
-    let how = Foreign { stack: stacks.1, system: None, speedup: 1.0 };
+    let how = Foreign { stack: stacks.1, system: None, speed: 1.0 };
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
     let (mut said, mut flying) = (Vec::new(), None);
     for k in 0_u32..30_000 {
@@ -138,9 +138,9 @@ fn gcs_flies_both_over_their_own_transports() {
             name,
             "--connect",
             &endpoint,
-            "--config",
+            "--scenario",
             CONFIG,
-            "--speedup",
+            "--speed",
             "8",
             "--out",
             out,

@@ -68,7 +68,7 @@ fn vehicle(folder: &Path) -> (Program, SocketAddr) {
     let config = folder.join("scenario.toml");
     std::fs::write(&config, CONFIG).expect("writing the config");
     let config = config.to_str().expect("a plain path");
-    program::sitl(&["--pace", "lockstep", "--config", config, "--seed", "7", "--ticks", "100"])
+    program::sitl(&["--pace", "lockstep", "--scenario", config, "--seed", "7", "--ticks", "100"])
         .expect("starting sitl")
 }
 

@@ -92,11 +92,11 @@ fn over_udp_as_in_process(config: &Path, controller: Controller, obstacles: usiz
 
     let (config, out, controller) =
         (config.to_str().unwrap(), folder.path().join("run"), controller.to_string());
-    let sitl = ["--pace", "lockstep", "--config", config, "--seed", "5", "--ticks", "30"];
+    let sitl = ["--pace", "lockstep", "--scenario", config, "--seed", "5", "--ticks", "30"];
     let (sitl, address) = program::sitl(&sitl).unwrap();
     let connect = format!("udpout:{address}");
     let fly =
-        ["fly", "--connect", &connect, "--config", config, "--controller", &controller, "--ticks", "30"];
+        ["fly", "--connect", &connect, "--scenario", config, "--controller", &controller, "--ticks", "30"];
     program::run("gcs", &[fly.as_slice(), &["--out", out.to_str().unwrap()]].concat())
         .unwrap()
         .good()

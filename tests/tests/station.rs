@@ -123,8 +123,8 @@ fn a_vehicle_that_wants_signatures_answers_to_its_key_alone() {
     // Once more, as the timestamps must go on from where they were.
     good(address, &["param", "--signing-key", &ours, "get", "SCALE_UNIT_M"]);
     for stranger in [
-        &["param", "--patience", "2", "list"][..],
-        &["param", "--signing-key", &other, "--patience", "2", "list"],
+        &["param", "--timeout", "2", "list"][..],
+        &["param", "--signing-key", &other, "--timeout", "2", "list"],
     ] {
         refused(&gcs(address, stranger), &["no vehicle heard"]);
     }
@@ -159,12 +159,12 @@ fn a_fleet_shares_a_key_and_a_bridge_ends_the_signed_path() {
         let asked = ["param", "--sysid", system, "--signing-key", &ours, "get", "SCALE_UNIT_M"];
         assert_eq!(good(address, &asked).trim(), "SCALE_UNIT_M     500");
     }
-    refused(&gcs(address, &["param", "--patience", "2", "list"]), &["no vehicle heard"]);
+    refused(&gcs(address, &["param", "--timeout", "2", "list"]), &["no vehicle heard"]);
 
     let (master, bridges) = (format!("udpout:{address}"), key("bridge.toml"));
-    let args = ["bridge", "--master", &master, "--out", "udpin:127.0.0.1:0", "--signing-key", &bridges];
+    let args = ["bridge", "--connect", &master, "--forward", "udpin:127.0.0.1:0", "--signing-key", &bridges];
     let bridge = Program::start("gcs", &args, None).unwrap();
-    let out: SocketAddr = bridge.line("out: listening on udpin:").unwrap().parse().unwrap();
+    let out: SocketAddr = bridge.line("forward: listening on udpin:").unwrap().parse().unwrap();
     let value = good(out, &["param", "--sysid", "2", "get", "SCALE_UNIT_M"]);
     assert_eq!(value.trim(), "SCALE_UNIT_M     500");
     for program in [sitl, bridge] {
@@ -223,7 +223,7 @@ fn missions_go_up_and_come_down() {
 fn watched(file: &Path, speed: &str) -> (usize, usize) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let out = format!("tcpout:{}", listener.local_addr().unwrap());
-    let args = ["replay", file.to_str().unwrap(), "--out", &out, "--speed", speed];
+    let args = ["replay", file.to_str().unwrap(), "--forward", &out, "--speed", speed];
     let replay = Program::start("gcs", &args, None).unwrap();
     let (mut stream, _) = listener.accept().unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();

@@ -1,4 +1,4 @@
-//! Sweeps by the real program: whatever ends it, whoever takes a share, the bytes are the same; and
+//! Sweeps by the real program: whatever ends it, whoever flies a shard, the bytes are the same; and
 //! tools that share no code with us read the result.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
@@ -16,7 +16,7 @@ const SMALL: [&str; 8] = [
     "2.5,4",
     "--episodes",
     "7",
-    "--controllers",
+    "--controller",
     "crpl,rcc,ucc",
 ];
 
@@ -56,15 +56,15 @@ fn three_shares_merged_are_one_run() {
     let dir = tempfile::tempdir().unwrap();
     let whole = dir.path().join("whole");
     sweep(&whole, &["--threads", "2"]).good().unwrap();
-    let shares: Vec<PathBuf> = (1..=3)
+    let shards: Vec<PathBuf> = (1..=3)
         .map(|n| {
-            let out = dir.path().join(format!("share-{n}"));
+            let out = dir.path().join(format!("shard-{n}"));
             sweep(&out, &["--shard", &format!("{n}/3"), "--threads", "1"]).good().unwrap();
             out
         })
         .collect();
     let merged = dir.path().join("merged");
-    let [one, two, three] = [0, 1, 2].map(|n| shares[n].to_str().unwrap());
+    let [one, two, three] = [0, 1, 2].map(|n| shards[n].to_str().unwrap());
     gcs(&["merge", three, one, two, "--out", merged.to_str().unwrap()]).good().unwrap();
     assert_same(&merged, &whole);
 
@@ -74,8 +74,8 @@ fn three_shares_merged_are_one_run() {
         assert!(!finished.status.success());
         finished.stderr
     };
-    assert_eq!(merge(&[one, three]), "error: missing: share 2/3");
-    assert_eq!(merge(&[one, two, three, two]), format!("error: {two} and {two} both hold share 2/3"));
+    assert_eq!(merge(&[one, three]), "error: missing: shard 2/3");
+    assert_eq!(merge(&[one, two, three, two]), format!("error: {two} and {two} both hold shard 2/3"));
     let other = dir.path().join("other");
     sweep(&other, &["--shard", "2/3", "--first-seed", "5"]).good().unwrap();
     let other = other.to_str().unwrap();
@@ -83,8 +83,8 @@ fn three_shares_merged_are_one_run() {
         merge(&[one, other, three]),
         format!("error: {one} and {other} are of different sweeps: first_seed = 100000 and 5")
     );
-    std::fs::rename(shares[1].join("episodes.csv"), shares[1].join("episodes.part.csv")).unwrap();
-    assert_eq!(merge(&[one, two, three]), format!("error: {two} is not finished: run its share 2/3 again"));
+    std::fs::rename(shards[1].join("episodes.csv"), shards[1].join("episodes.part.csv")).unwrap();
+    assert_eq!(merge(&[one, two, three]), format!("error: {two} is not finished: fly its shard 2/3 again"));
 }
 
 #[test]

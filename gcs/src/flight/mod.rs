@@ -4,7 +4,7 @@
 //! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
 //! away. Knows no controller: the station is a function.
 //!
-//! Others may watch through the same program ([`Options::outs`]). While it flies, their setpoints
+//! Others may watch through the same program ([`Options::forward`]). While it flies, their setpoints
 //! for the vehicle stay here; an operator's change of mode passes, and once the vehicle has taken it
 //! the station sends no more: it says so and goes on passing messages to and fro.
 
@@ -14,6 +14,7 @@ pub mod foreign;
 pub mod remote;
 
 use std::path::PathBuf;
+use std::pin::pin;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
@@ -22,6 +23,7 @@ use crpl_sitl::link::decoder::Counts;
 use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::shell::Backoff;
+use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::units::Tick;
 use tokio::time::{Instant, interval, sleep};
@@ -46,10 +48,10 @@ pub struct Options {
     pub tlog: Option<PathBuf>,
     /// File with the key of message signing.
     pub signing_key: Option<PathBuf>,
-    /// Who else talks to the vehicle through this program.
-    pub outs: Vec<Endpoint>,
+    /// Endpoints that watch the flight and may talk to the vehicle through this program.
+    pub forward: Vec<Endpoint>,
     /// How long to wait for the first percept, and for any next one, also where the link is lost.
-    pub patience: Duration,
+    pub timeout: Duration,
 }
 
 impl Default for Options {
@@ -58,8 +60,8 @@ impl Default for Options {
             ticks: None,
             tlog: None,
             signing_key: None,
-            outs: Vec::new(),
-            patience: Duration::from_secs(30),
+            forward: Vec::new(),
+            timeout: Duration::from_secs(30),
         }
     }
 }
@@ -71,9 +73,9 @@ impl Options {
         hub.local();
         let shown = hub.open(connect).await?;
         tracing::debug!("{shown}");
-        for out in &self.outs {
-            let shown = hub.open(out).await?;
-            tracing::info!("out: {shown}");
+        for endpoint in &self.forward {
+            let shown = hub.open(endpoint).await?;
+            tracing::info!("forward: {shown}");
         }
         if let Some(path) = &self.tlog {
             hub.log_to(path)?;
@@ -91,7 +93,7 @@ pub enum Ended {
     /// After its last tick.
     #[default]
     Over,
-    /// By Ctrl-C.
+    /// By Ctrl-C or SIGTERM.
     Interrupted,
     /// The operator has changed the vehicle's mode, and flies.
     TakenOver,
@@ -131,6 +133,7 @@ pub async fn fly(
     let mut shell = Shell::open(connect, scenario, options).await?;
     let mut beat = interval(HEARTBEAT);
     let mut resend = Backoff::default();
+    let mut interrupted = pin!(interrupted());
     loop {
         shell.check()?;
         tokio::select! {
@@ -140,7 +143,7 @@ pub async fn fly(
                 resend.lengthen();
             }
             _ = beat.tick() => shell.beat().await?,
-            _ = tokio::signal::ctrl_c() => return shell.end(Ended::Interrupted).await,
+            () = &mut interrupted => return shell.end(Ended::Interrupted).await,
         }
         for notice in shell.hub.notices() {
             tell(&notice, &shell.hub);
@@ -208,10 +211,10 @@ impl<'a> Shell<'a> {
     fn check(&mut self) -> Result<()> {
         self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         let (connect, waited) = (self.connect, self.last_percept.elapsed());
-        if waited <= self.options.patience {
+        if waited <= self.options.timeout {
             return Ok(());
         }
-        let seconds = self.options.patience.as_secs_f64();
+        let seconds = self.options.timeout.as_secs_f64();
         match (self.remote.system(), self.remote.newest()) {
             (None, _) => bail!("{connect}: no MAVLink vehicle heard for {seconds} s; is sitl running there?"),
             (Some(system), None) => bail!(
@@ -286,11 +289,12 @@ impl<'a> Shell<'a> {
             self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
         self.hub.send(&said).await?;
         let mut beat = interval(HEARTBEAT);
-        while !self.options.outs.is_empty() && !self.remote.is_lost() {
+        let mut interrupted = pin!(interrupted());
+        while !self.options.forward.is_empty() && !self.remote.is_lost() {
             tokio::select! {
                 turned = self.hub.turn() => turned?,
                 _ = beat.tick() => self.beat().await?,
-                _ = tokio::signal::ctrl_c() => break,
+                () = &mut interrupted => break,
             }
             while let Some(datagram) = self.hub.take() {
                 self.remote.datagram(&datagram, self.hub.elapsed());
@@ -439,7 +443,7 @@ mod tests {
     async fn nobody_there_is_said_in_one_line() {
         let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let connect = endpoint(&format!("udpout:{}", silent.local_addr().unwrap()));
-        let options = Options { patience: Duration::from_millis(200), ..Options::default() };
+        let options = Options { timeout: Duration::from_millis(200), ..Options::default() };
         let error = fly(&connect, &Scenario::default(), &options, station).await.unwrap_err().to_string();
         assert!(error.starts_with(&format!("{connect}: no MAVLink vehicle heard")), "{error}");
     }
@@ -448,7 +452,7 @@ mod tests {
     async fn a_link_that_falls_silent_is_told_with_its_tick() {
         let target = vehicle(true).await;
         let cut = relay(target, u64::MAX).await;
-        let options = Options { patience: Duration::from_secs(1), ..Options::default() };
+        let options = Options { timeout: Duration::from_secs(1), ..Options::default() };
         // The vehicle's flight is over after its last tick, and then it falls silent.
         let connect = endpoint(&format!("udpout:{cut}"));
         let scenario = Scenario::default();

@@ -5,7 +5,6 @@
 //! and the flights that keep each constraint are counted: P_safe is the share of flights without a
 //! collision, P_comm the share of flights whose SNR, at the executed powers, never falls below γ_min.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
@@ -15,40 +14,36 @@ use crpl_model::planning::objective::Objective;
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::terminal::positive;
+use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::lab::Contender;
 use crate::lab::optimise::one_obstacle;
-use crate::station::models::Models;
+use crate::station::models::ModelFiles;
 use crate::station::pilot::Controller;
 
-/// Count how many closed-loop flights of a policy keep each chance constraint.
+/// Flags of `gcs check`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = presets::table())]
 pub struct Check {
-    /// The paper's scenario.
-    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
-    scenario: u8,
-    /// A scenario of one's own (TOML), instead of the paper's.
-    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
-    scenario_file: Option<PathBuf>,
-    /// File with the policies; without it those that ship with the program.
-    #[arg(long, value_name = "FILE")]
-    policy: Option<PathBuf>,
-    /// Folder of the world model; without it the one that ships with the program.
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
-    /// Flights.
+    /// Scenario: TOML file or preset
+    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    scenario: String,
+    #[command(flatten)]
+    models: ModelFiles,
+    /// Number of flights
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
-    flights: u64,
-    /// Kick of the gusts where the scenario has none of its own, units per interval.
-    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick)]
-    kick: f64,
-    /// Seed of the first flight.
+    episodes: u64,
+    /// Standard deviation of the gusts, in units per interval, if the scenario has none
+    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick, value_parser = positive)]
+    gust_std: f64,
+    /// First of the consecutive seeds
     #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
     first_seed: u64,
-    /// Print JSON.
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -190,17 +185,11 @@ impl End {
 /// # Errors
 /// Missing or mismatched files, and a policy that breaks a constraint.
 pub fn run(args: &Check) -> Result<()> {
-    let scenario = match &args.scenario_file {
-        Some(path) => Scenario::load(path)?,
-        None => Scenario::numbered(args.scenario)?,
-    };
+    let scenario = Scenario::named(&args.scenario)?;
     one_obstacle(&scenario)?;
-    if !(args.kick > 0.0 && args.kick.is_finite()) {
-        bail!("--kick {}: must be above 0", args.kick);
-    }
-    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
-    let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.kick))?;
-    let flights = usize::try_from(args.flights)?;
+    let models = args.models.load()?;
+    let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.gust_std))?;
+    let flights = usize::try_from(args.episodes)?;
     let check = ConstraintCheck::measure(&contender, &Objective::default(), flights, args.first_seed)?;
     if args.json {
         println!("{}", serde_json::to_string(&check)?);

@@ -21,16 +21,8 @@ use crate::lab::run::{self, Summary};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
-/// The demo's scenario: `configs/demo.toml`, compiled in.
-const SCENARIO: &str = include_str!("../../../configs/demo.toml");
-
 /// How long a vehicle may take to start, and to end after its last tick.
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// The scenario that the demo flies unless told otherwise.
-pub fn scenario() -> Result<Scenario> {
-    Scenario::from_toml(SCENARIO).context("configs/demo.toml")
-}
 
 /// A `sitl` process that ends with us.
 struct Vehicle {
@@ -53,8 +45,8 @@ impl Vehicle {
         let mut child = Command::new(program)
             .args(["sitl", "--listen", "udpin:127.0.0.1:0", "--pace", pace])
             .args(["--seed", &flight.seed.to_string(), "--ticks", &flight.scenario.horizon.to_string()])
-            .args(["--speedup", &flight.speedup.to_string()])
-            .arg("--config")
+            .args(["--speed", &flight.speed.to_string()])
+            .arg("--scenario")
             .arg(config)
             .args(signing)
             .env("RUST_LOG", "warn")
@@ -110,12 +102,12 @@ pub struct Flight<'a> {
     pub seed: u64,
     /// Who decides when an interval passes.
     pub pace: Pace,
-    /// Times real time, where the pace is real time.
-    pub speedup: f64,
+    /// Speed relative to real time, where the pace is real time.
+    pub speed: f64,
     /// File with the key of message signing, if the flight is signed.
     pub signing_key: Option<&'a Path>,
-    /// Who watches.
-    pub outs: &'a [Endpoint],
+    /// Endpoints that watch the flight.
+    pub forward: &'a [Endpoint],
 }
 
 /// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
@@ -127,7 +119,7 @@ pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Opt
         ticks: Some(flight.scenario.horizon),
         tlog: Some(dir.join("flight.tlog")),
         signing_key: flight.signing_key.map(Path::to_path_buf),
-        outs: flight.outs.to_vec(),
+        forward: flight.forward.to_vec(),
         ..Options::default()
     };
     let flown = flight::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;

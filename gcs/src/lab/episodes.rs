@@ -2,42 +2,39 @@
 //! paired by the same gusts.
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 
 use anyhow::Result;
 use crpl_sitl::Scenario;
+use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::lab::Contender;
 use crate::lab::stats::Mean;
-use crate::lab::{Contender, demo};
-use crate::station::models::Models;
+use crate::station::models::ModelFiles;
 use crate::station::pilot::Controller;
 
 /// Flags of `gcs episodes`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = presets::table())]
 pub struct Episodes {
-    /// Scenario file (TOML) [default: the demo's].
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// How many seeds.
+    /// Scenario: TOML file or preset
+    #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
+    scenario: String,
+    /// Flights per controller
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     episodes: u64,
-    /// The first seed.
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    /// First of the consecutive seeds
+    #[arg(long, value_name = "N", default_value_t = 0)]
     first_seed: u64,
-    /// Who flies.
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
-    controllers: Vec<Controller>,
-    /// Folder of a world model; without it the one that ships with the program.
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
-    /// File with CRPL's policies; without it those that ship with the program.
-    #[arg(long, value_name = "FILE")]
-    policy: Option<PathBuf>,
-    /// Print one JSON line per controller.
+    /// Controllers to fly
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    controller: Vec<Controller>,
+    #[command(flatten)]
+    models: ModelFiles,
+    /// Print one JSON line per controller
     #[arg(long)]
     json: bool,
 }
@@ -66,19 +63,16 @@ pub struct Row {
 
 /// Runs the subcommand.
 pub fn run(args: &Episodes) -> Result<()> {
-    let scenario = match &args.config {
-        Some(path) => Scenario::load(path)?,
-        None => demo::scenario()?,
-    };
-    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
-    let bar = ProgressBar::new(args.episodes * args.controllers.len() as u64);
+    let scenario = Scenario::named(&args.scenario)?;
+    let models = args.models.load()?;
+    let bar = ProgressBar::new(args.episodes * args.controller.len() as u64);
     if !std::io::stderr().is_terminal() {
         bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
     }
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} flights {elapsed}, {eta} left") {
         bar.set_style(style);
     }
-    for controller in &args.controllers {
+    for controller in &args.controller {
         let contender = Contender::new(&models, *controller, &scenario)?;
         let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)
             .into_par_iter()

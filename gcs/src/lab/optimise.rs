@@ -12,41 +12,39 @@ use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::timing::Stopwatch;
+use crpl_sitl::scenario::presets;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 
 use crate::lab::check::{self, ConstraintCheck};
 use crate::station::models::Models;
 
-/// Optimise π_s and π_p in latent space for one scenario.
+/// Flags of `gcs optimise`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = presets::table())]
 pub struct Optimise {
-    /// The paper's scenario: 1, obstacle beside the direct path, or 2, in it.
-    #[arg(long, value_name = "1|2", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=2))]
-    scenario: u8,
-    /// A scenario of one's own (TOML), instead of the paper's.
-    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
-    scenario_file: Option<PathBuf>,
-    /// What differs from Algorithm 1's defaults (TOML).
+    /// Scenario: TOML file or preset
+    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    scenario: String,
+    /// Parameters of Algorithm 1 that differ from the defaults (TOML)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Seed of weights, rollouts and starts.
-    #[arg(long, default_value_t = 0)]
+    /// Seed of weights, rollouts and starts
+    #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Folder of the world model; without it the one that ships with the program.
+    /// Folder of the world model [default: the built-in one]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// Folder for the policies.
+    /// Folder for the policies
     #[arg(long, value_name = "DIR", default_value = "runs/policy")]
     out: PathBuf,
-    /// Go on with a run that was stopped.
+    /// Resume an interrupted run
     #[arg(long)]
     resume: bool,
-    /// Optimise once with each of the rollout's limits (plain, clip, walls), print what each is worth, and
-    /// write nothing.
+    /// Optimise once with each limit of the rollout (plain, clip, walls), print the results and write nothing
     #[arg(long, conflicts_with = "resume")]
     compare_limits: bool,
-    /// Print the outcome as JSON.
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -75,10 +73,7 @@ struct Sheet<'a> {
 
 /// Runs the subcommand.
 pub fn run(args: &Optimise) -> Result<()> {
-    let scenario = match &args.scenario_file {
-        Some(path) => Scenario::load(path)?,
-        None => Scenario::numbered(args.scenario)?,
-    };
+    let scenario = Scenario::named(&args.scenario)?;
     let config = match &args.config {
         Some(path) => {
             let text =

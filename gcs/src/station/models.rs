@@ -63,8 +63,8 @@ impl Models {
         let number = scenario.number().with_context(|| {
             let o = scenario.obstacle().position;
             format!(
-                "no shipped policy knows an obstacle at ({}, {}): train one with `gcs optimise \
-                 --scenario-file` and give it by --policy",
+                "no shipped policy for an obstacle at ({}, {}): train one with `gcs optimise \
+                 --scenario FILE` and give it by --policy",
                 o.x, o.y
             )
         })?;
@@ -74,5 +74,26 @@ impl Models {
     /// A station that flies `controller`.
     pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
         Ok(Station::new(scenario.clone(), self.world.clone(), Pilot::load(controller, self, scenario)?))
+    }
+}
+
+/// Flags that name the trained models.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct ModelFiles {
+    /// Folder of the world model [default: the built-in one]
+    #[arg(long, value_name = "DIR")]
+    pub checkpoint: Option<PathBuf>,
+    /// File of CRPL's policies [default: the built-in ones]
+    #[arg(long, value_name = "FILE")]
+    pub policy: Option<PathBuf>,
+}
+
+impl ModelFiles {
+    /// Loads the world model; policies are loaded with the controller that needs them.
+    ///
+    /// # Errors
+    /// No world model in the folder.
+    pub fn load(&self) -> Result<Models> {
+        Models::load(self.checkpoint.as_deref(), self.policy.clone())
     }
 }

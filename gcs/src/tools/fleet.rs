@@ -171,10 +171,10 @@ impl Default for Fleet {
 }
 
 impl Fleet {
-    /// Of vehicles that beat once a second of a time that runs `speedup` times as fast as the wall's.
+    /// Of vehicles that beat once a second of a time that runs `speed` times as fast as the wall's.
     #[must_use]
-    pub fn paced(speedup: f64) -> Self {
-        Self { lost_after: LOST_AFTER.div_f64(speedup), ..Self::default() }
+    pub fn paced(speed: f64) -> Self {
+        Self { lost_after: LOST_AFTER.div_f64(speed), ..Self::default() }
     }
 
     /// A packet has come.

@@ -4,7 +4,6 @@ pub mod bridge;
 pub mod command;
 pub mod fleet;
 pub mod mission;
-pub mod outs;
 pub mod param;
 pub mod replay;
 pub mod retry;

@@ -7,6 +7,7 @@
 #![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
 
 use std::path::{Path, PathBuf};
+use std::pin::pin;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -19,6 +20,7 @@ use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
 use crpl_sitl::link::frame::Splitter;
 use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, RADIO, STATION_SYSTEM};
+use crpl_sitl::program::terminal::{interrupted, positive};
 use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::geodesy;
@@ -31,16 +33,16 @@ use crate::tools::bridge::hub::Hub;
 pub struct Replay {
     /// flight.tlog or record.jsonl of a run folder
     file: PathBuf,
-    /// Who watches: udpout:HOST:PORT and the like
+    /// Endpoints to send to: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
-    out: Vec<Endpoint>,
-    /// How many times faster than it was
-    #[arg(long, value_name = "X", default_value = "1", value_parser = crpl_sitl::program::cli::parse_speedup)]
+    forward: Vec<Endpoint>,
+    /// Speed relative to the recorded flight
+    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
     speed: f64,
-    /// Sign what is sent: file with the key of message signing, TOML with `key` or `passphrase`
+    /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
-    /// Send what stations said, too
+    /// Also send the ground stations' messages
     #[arg(long)]
     all: bool,
 }
@@ -51,21 +53,22 @@ type Script = Vec<(Duration, Vec<u8>)>;
 /// Sends the file to its end.
 pub async fn run(args: Replay) -> Result<()> {
     let script = script(&args.file, args.all)?;
+    let mut interrupted = pin!(interrupted());
     let mut hub = Hub::default();
     hub.local();
     if let Some(path) = &args.signing_key {
         hub.sign_with(path)?;
     }
-    for out in &args.out {
-        println!("out: {}", hub.open(out).await?);
+    for endpoint in &args.forward {
+        println!("forward: {}", hub.open(endpoint).await?);
     }
     // A port of ours has no listener before one has spoken to it.
-    if args.out.iter().all(|out| out.direction == Direction::In || out.transport == Transport::Tcp) {
-        println!("waiting for somebody to watch");
+    if args.forward.iter().all(|to| to.direction == Direction::In || to.transport == Transport::Tcp) {
+        println!("waiting for a connection");
         while hub.router().links().count() < 2 {
             tokio::select! {
                 turned = hub.turn() => turned?,
-                _ = tokio::signal::ctrl_c() => return Ok(()),
+                () = &mut interrupted => return Ok(()),
             }
         }
     }
@@ -76,7 +79,7 @@ pub async fn run(args: Replay) -> Result<()> {
             tokio::select! {
                 turned = hub.turn() => turned?,
                 () = sleep_until(due) => {}
-                _ = tokio::signal::ctrl_c() => return Ok(()),
+                () = &mut interrupted => return Ok(()),
             }
             while hub.take().is_some() {}
             hub.notices();
@@ -311,7 +314,8 @@ mod tests {
             }
         }
         assert_eq!(script[5].0, Duration::from_secs_f64(2.0));
-        let error = crpl_sitl::program::cli::one_line(&from_records("{\"tick\":1}", &scenario).unwrap_err());
+        let error =
+            crpl_sitl::program::terminal::one_line(&from_records("{\"tick\":1}", &scenario).unwrap_err());
         assert!(error.starts_with("line 1: missing field"), "{error}");
     }
 }

@@ -13,6 +13,7 @@ use crpl_sitl::link::dialect::{self, MavAutopilot, MavCmd, MavModeFlag, MavState
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::{AUTOPILOT, MessageData, STATION_COMPONENT, STATION_SYSTEM};
+use crpl_sitl::program::terminal::interrupted;
 use tokio::time::{Instant, Interval, interval, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
@@ -27,21 +28,21 @@ const GATHER: Duration = Duration::from_millis(1200);
 /// Whom to talk to.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Link {
-    /// The vehicle: udpout:HOST:PORT, udpin, tcpout or tcpin
+    /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT", default_value = "udpout:127.0.0.1:14550")]
     pub connect: Endpoint,
     /// System id of the vehicle [default: the only one on the link]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     pub sysid: Option<u8>,
-    /// Component of the vehicle [default: 1, its autopilot]
+    /// Component id; 1 is the autopilot
     #[arg(long, value_name = "N", default_value_t = AUTOPILOT)]
     pub component: u8,
-    /// File with the key of message signing: TOML with `key` or `passphrase`
+    /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
     /// How long to wait for the vehicle's first heartbeat
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
-    pub patience: u64,
+    pub timeout: u64,
 }
 
 /// Questions and answers of one protocol, without socket and clock.
@@ -99,7 +100,7 @@ impl Session {
 
     /// The vehicle that is wanted, or the only one.
     async fn find(&mut self, link: &Link) -> Result<u8> {
-        let deadline = Duration::from_secs(link.patience);
+        let deadline = Duration::from_secs(link.timeout);
         let mut until = deadline;
         loop {
             let systems = self.fleet.systems();
@@ -121,7 +122,7 @@ impl Session {
                 (_, []) => bail!(
                     "{}: no vehicle heard for {} s; is one there, and does it speak on that port?",
                     link.connect,
-                    link.patience
+                    link.timeout
                 ),
                 (None, _) => bail!("{}: vehicles {heard} are there: choose one by --sysid", link.connect),
                 (Some(id), _) => bail!("{}: no vehicle {id}; heard: {heard}", link.connect),
@@ -158,7 +159,7 @@ impl Session {
                 push_heartbeat(&mut self.station, &mut datagram);
                 self.hub.send(&datagram).await?;
             }
-            _ = tokio::signal::ctrl_c() => bail!("interrupted"),
+            () = interrupted() => bail!("interrupted"),
         }
         self.hub.notices();
         let (now, mut ours) = (self.now(), Vec::new());
@@ -203,9 +204,9 @@ impl Session {
         if let Some(packet) = wanted(heard) {
             return Ok(Some(packet));
         }
-        let patience = self.now() + Duration::from_millis(500);
-        while verdict == Verdict::Accepted && self.now() < patience {
-            if let Some(packet) = wanted(self.turn(Some(patience)).await?) {
+        let deadline = self.now() + Duration::from_millis(500);
+        while verdict == Verdict::Accepted && self.now() < deadline {
+            if let Some(packet) = wanted(self.turn(Some(deadline)).await?) {
                 return Ok(Some(packet));
             }
         }

@@ -11,28 +11,28 @@ use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Measure a world model on fresh pictures and draw the paper's Fig. 3.
+/// Flags of `model evaluate`.
 #[derive(Debug, clap::Args)]
 pub struct Evaluate {
-    /// Seed of everything that is drawn.
-    #[arg(long, default_value_t = 0)]
+    /// Seed of the frames and flights
+    #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Folder of the world model; without it the one that ships with the program.
+    /// Folder of the world model [default: the built-in one]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// Trajectories from each of the three starts.
+    /// Number of trajectories from each of the three start conditions
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(10..=100_000))]
     trajectories: u64,
-    /// Pictures for the probes and the heads.
+    /// Number of frames for the probes and the heads
     #[arg(long, value_name = "N", default_value_t = 6000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
     frames: u64,
-    /// Pictures that the observer sees.
-    #[arg(long, value_name = "M", default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=50))]
+    /// Number of frames in the observer's window
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=50))]
     window: u64,
-    /// Folder for the results and figures.
+    /// Folder for the results and figures
     #[arg(long, value_name = "DIR", default_value = "runs/evaluate")]
     out: PathBuf,
-    /// Print the results as JSON.
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }

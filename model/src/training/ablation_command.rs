@@ -1,4 +1,5 @@
-//! `model ablate` and `model hard`: tables of what each ingredient buys and of where encoders break.
+//! `model ablate` and `model robustness`: what each ingredient of the recipe contributes, and which cameras
+//! and states an encoder cannot handle.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,46 +14,46 @@ use anyhow::Context;
 use crpl_sitl::Scenario;
 use crpl_sitl::world::noise::Noise;
 
-#[derive(Debug, clap::Args)]
 /// Flags of `model ablate`.
+#[derive(Debug, clap::Args)]
 pub struct Ablate {
-    /// The recipe that is changed (TOML).
-    #[arg(long)]
+    /// Training parameters that differ from the defaults (TOML)
+    #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Seed; overrides the configuration's.
-    #[arg(long)]
+    /// Override the seed of the training parameters
+    #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// burn's backend.
+    /// Backend of burn, the tensor library
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
-    /// Pictures of each kind that a row is measured on.
-    #[arg(long, default_value_t = 2000)]
+    /// Number of frames of each kind to evaluate a row on
+    #[arg(long, value_name = "N", default_value_t = 2000)]
     frames: usize,
-    /// Only the rows whose name contains this.
-    #[arg(long)]
+    /// Only rows whose name contains TEXT
+    #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Print the rows as JSON, one a line.
+    /// Print one JSON line per row
     #[arg(long)]
     json: bool,
 }
 
+/// Flags of `model robustness`.
 #[derive(Debug, clap::Args)]
-/// Flags of `model hard`.
-pub struct Hard {
-    /// A configuration to train without risk and channel heads (TOML), or the folder of a checkpoint;
-    /// can be given several times. Without any: the shipped model.
-    #[arg(value_name = "CONFIG|CHECKPOINT")]
+pub struct Robustness {
+    /// Folders of checkpoints, or files of training parameters (TOML) to train an encoder with [default: the
+    /// built-in model]
+    #[arg(value_name = "DIR|FILE")]
     models: Vec<PathBuf>,
-    /// Seed of the pictures.
-    #[arg(long, default_value_t = 1000)]
+    /// Seed of the frames
+    #[arg(long, value_name = "N", default_value_t = 1000)]
     seed: u64,
-    /// Pictures or flights a case.
-    #[arg(long, default_value_t = 2000)]
+    /// Number of frames or flights per case
+    #[arg(long, value_name = "N", default_value_t = 2000)]
     frames: usize,
-    /// burn's backend, for training.
+    /// Backend of burn, the tensor library, for training
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
-    /// Print the tables as JSON.
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -82,8 +83,8 @@ pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs `model hard`.
-pub fn hard(args: &Hard) -> anyhow::Result<()> {
+/// Runs `model robustness`.
+pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
     let (scenario, noise) = (Scenario::default(), Noise::new(args.seed));
     let mut models = Vec::new();
     for path in &args.models {

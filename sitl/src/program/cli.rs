@@ -1,8 +1,6 @@
 //! Flags to a running vehicle: what `sitl` and `gcs sitl` share.
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -14,85 +12,83 @@ use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
 use crate::program::fleet;
 use crate::program::shell::{Ended, Shell};
+use crate::program::terminal::{positive, say};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, presets};
 use crate::vehicle::Vehicle;
 
-/// Who decides when a control interval passes.
+/// What makes a control interval pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Pace {
-    /// A timer, from the first setpoint on.
+    /// A timer, from the first setpoint on
     Realtime,
-    /// The arrival of the setpoint for this tick.
+    /// The arrival of the setpoint for this interval
     Lockstep,
 }
 
-/// A UAV simulator that speaks MAVLink 2 over UDP and TCP, renders its camera and puts a radio in the
-/// way.
+/// A UAV simulator that speaks MAVLink 2 over UDP and TCP, renders its camera and models its radio link.
 ///
-/// Listens on 14550 unless told otherwise. If a ground station such as QGroundControl listens there,
-/// let sitl speak first: --connect udpout:127.0.0.1:14550.
+/// Listens on udpin:127.0.0.1:14550 by default. If a ground station such as QGroundControl already listens on
+/// that port, connect to it: --connect udpout:127.0.0.1:14550.
 #[derive(Debug, Clone, Parser)]
-#[command(name = "sitl", version)]
+#[command(name = "sitl", version, max_term_width = 100, after_help = presets::table())]
 pub struct Args {
-    /// Scenario file (TOML); what it leaves out keeps the paper's values
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// The paper's scenario: 1, obstacle beside the direct path, or 2, in it [default: the file's, or 2]
-    #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
-    pub scenario: Option<u8>,
-    /// udpin:HOST:PORT or tcpin:HOST:PORT (port 0: any free one); may be repeated [default:
-    /// udpin:127.0.0.1:14550, unless there is a --connect]
+    /// Scenario: TOML file or preset
+    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    pub scenario: String,
+    /// Listen on udpin:HOST:PORT or tcpin:HOST:PORT (port 0: any free port); repeatable [default:
+    /// udpin:127.0.0.1:14550 without --connect]
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<Endpoint>,
-    /// udpout:HOST:PORT or tcpout:HOST:PORT, to speak first; may be repeated
+    /// Connect to udpout:HOST:PORT or tcpout:HOST:PORT; repeatable
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<Endpoint>,
-    /// Real time, or one tick per setpoint
+    /// What makes a control interval pass
     #[arg(long, value_enum, default_value = "realtime")]
     pub pace: Pace,
-    /// How many times faster than real time
-    #[arg(long, value_name = "X", default_value = "1", value_parser = parse_speedup)]
-    pub speedup: f64,
-    /// Seed of the disturbance
+    /// Speed relative to real time, with --pace realtime
+    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    pub speed: f64,
+    /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// End after N control intervals [default: fly on]
+    /// Stop after N control intervals [default: never]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub ticks: Option<u64>,
-    /// MAVLink system id of the vehicle, or of the first
+    /// MAVLink system id of the (first) vehicle
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
     pub sysid: u8,
-    /// So many vehicles in this process: system ids, seeds and ports count up, obstacles differ
+    /// Number of vehicles: system ids, seeds and ports count up from the first vehicle's; obstacles are placed
+    /// at random
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
     pub instances: u8,
-    /// All vehicles behind the same endpoints, told apart by their system ids
+    /// All vehicles share the endpoints and are told apart by their system ids
     #[arg(long)]
     pub shared: bool,
-    /// Boot with the parameters of a file (.param: NAME VALUE)
+    /// Load parameters from a file at start (.param: NAME VALUE)
     #[arg(long, value_name = "FILE")]
     pub params: Option<PathBuf>,
-    /// Write all parameters that can be set to a file at the end
+    /// Save all settable parameters to a file at the end
     #[arg(long, value_name = "FILE")]
     pub save_params: Option<PathBuf>,
-    /// File with the key of message signing and its timestamps; a key that comes by SETUP_SIGNING is
-    /// kept there. With --instances it is the key of all, and vehicle N keeps its own in FILE.N
+    /// File of the signing key and its timestamps; a key received by SETUP_SIGNING is stored there. With
+    /// --instances, all vehicles start with this key and vehicle N stores its own in FILE.N
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
-    /// Whether unsigned messages are refused
+    /// Whether unsigned messages are accepted
     #[arg(long, value_enum, default_value = "optional")]
     pub signing: SigningPolicy,
-    /// Print at the end how late control intervals began, and the processor's time
+    /// Print timing statistics at the end: delay of control intervals, CPU time
     #[arg(long)]
     pub stats: bool,
 }
 
-/// What becomes of unsigned messages.
+/// Whether unsigned messages are accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum SigningPolicy {
-    /// They are taken.
+    /// Accept them
     Optional,
-    /// They are refused, once there is a key.
+    /// Refuse them
     Required,
 }
 
@@ -102,28 +98,6 @@ impl From<SigningPolicy> for Policy {
             SigningPolicy::Optional => Self::Optional,
             SigningPolicy::Required => Self::Required,
         }
-    }
-}
-
-/// A number above 0.
-pub fn parse_speedup(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
-        _ => Err("must be a number above 0".into()),
-    }
-}
-
-impl Args {
-    /// The flight's parameters: the file's, then `--scenario`.
-    pub fn scenario(&self) -> Result<Scenario> {
-        let mut scenario = match &self.config {
-            Some(path) => Scenario::load(path)?,
-            None => Scenario::default(),
-        };
-        if let Some(number) = self.scenario {
-            scenario.set_number(number)?;
-        }
-        Ok(scenario)
     }
 }
 
@@ -143,7 +117,7 @@ impl Args {
         let most = usize::from(u8::MAX - self.sysid) + 1;
         let count = usize::from(self.instances);
         anyhow::ensure!(
-            count <= most.min(fleet::MOST),
+            count <= most.min(fleet::MAX_VEHICLES),
             "--instances {count} from --sysid {}: system ids end at 255",
             self.sysid
         );
@@ -196,9 +170,9 @@ impl Args {
 
 /// Flies until the last tick or Ctrl-C. The first line on stdout names the address.
 pub async fn run(args: Args) -> Result<()> {
-    let scenario = args.scenario()?;
-    let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speedup)
-        .context("the control interval divided by --speedup")?
+    let scenario = Scenario::named(&args.scenario)?;
+    let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)
+        .context("the control interval divided by --speed")?
         .max(Duration::from_micros(1));
     let mut shells = args.shells(&scenario).await?;
     let mut keys = args.signing()?.into_iter();
@@ -275,99 +249,10 @@ pub fn stats<'a>(shells: impl Iterator<Item = &'a Shell>, wall: Duration, cpu: O
     stats
 }
 
-/// A line on stdout at once, even into a pipe. A reader that has gone away is no reason to stop.
-fn say(line: &str) {
-    use std::io::Write;
-    let mut stdout = std::io::stdout().lock();
-    let _ = writeln!(stdout, "{line}").and_then(|()| stdout.flush());
-}
-
-/// Returns on Ctrl-C, or when asked to end (SIGTERM), as `docker stop` and service managers do.
-pub async fn interrupted() {
-    #[cfg(unix)]
-    {
-        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
-        if let Ok(mut terminate) = terminate {
-            tokio::select! {
-                _ = tokio::signal::ctrl_c() => {}
-                _ = terminate.recv() => {}
-            }
-            return;
-        }
-    }
-    let _ = tokio::signal::ctrl_c().await;
-}
-
-/// The whole program: parses the flags, logs to stderr, flies, and tells an error in one line.
-#[must_use]
-pub fn main() -> ExitCode {
-    let args = match Args::try_parse() {
-        Ok(args) => args,
-        Err(error) => return usage(&error),
-    };
-    log();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let flown = runtime.context("starting the runtime").and_then(|runtime| runtime.block_on(run(args)));
-    outcome(flown)
-}
-
-/// Logs to stderr, from level info on unless RUST_LOG says otherwise; colours on a terminal only.
-pub fn log() {
-    tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
-        )
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
-}
-
-/// What a program's work came to: success, or its error in one line.
-#[must_use]
-pub fn outcome(done: Result<()>) -> ExitCode {
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {}", one_line(&error));
-            ExitCode::FAILURE
-        }
-    }
-}
-
-/// An error and its causes in one line: each said once, without a parser's picture of the place.
-#[must_use]
-pub fn one_line(error: &anyhow::Error) -> String {
-    let mut line = String::new();
-    for cause in error.chain() {
-        let text = cause.to_string();
-        let drawn =
-            |part: &&str| part.trim_start_matches(|c: char| c.is_ascii_digit() || c == ' ').starts_with('|');
-        let text: Vec<&str> = text.lines().filter(|part| !part.is_empty() && !drawn(part)).collect();
-        let text = text.join(": ");
-        if !line.contains(&text) {
-            line.push_str(if line.is_empty() { "" } else { ": " });
-            line.push_str(&text);
-        }
-    }
-    line
-}
-
-/// Prints help or version as clap does, and a wrong flag in one line; gives the exit code.
-#[must_use]
-pub fn usage(error: &clap::Error) -> ExitCode {
-    if !error.use_stderr() {
-        let _ = error.print();
-        return ExitCode::SUCCESS;
-    }
-    let text = error.render().to_string();
-    let first = text.lines().take_while(|line| !line.is_empty()).map(str::trim);
-    eprintln!("{} (see --help)", first.collect::<Vec<_>>().join(" "));
-    ExitCode::from(2)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::program::terminal::one_line;
 
     fn parse(flags: &[&str]) -> Result<Args, clap::Error> {
         Args::try_parse_from([&["sitl"], flags].concat())
@@ -378,24 +263,7 @@ mod tests {
         let args = parse(&[]).unwrap();
         assert_eq!(args.endpoints()[0].to_string(), "udpin:127.0.0.1:14550");
         assert_eq!(args.pace, Pace::Realtime);
-        assert_eq!(args.scenario().unwrap().number(), Some(2));
-    }
-
-    #[test]
-    fn an_error_is_one_line_that_names_file_key_and_place() {
-        let path = std::env::temp_dir().join(format!("sitl-{}.toml", std::process::id()));
-        std::fs::write(&path, "[radio]\nbandwith = 1\n").unwrap();
-        let error = Args { config: Some(path.clone()), ..parse(&[]).unwrap() }.scenario().unwrap_err();
-        std::fs::remove_file(&path).unwrap();
-        let line = one_line(&error);
-        let start = format!(
-            "reading {}: TOML parse error at line 2, column 1: unknown field `bandwith`",
-            path.display()
-        );
-        assert!(line.starts_with(&start) && !line.contains('\n'), "{line}");
-
-        let error = Args { config: Some(path), ..parse(&[]).unwrap() }.scenario().unwrap_err();
-        assert_eq!(one_line(&error).matches("No such file").count(), 1);
+        assert_eq!(Scenario::named(&args.scenario).unwrap(), Scenario::default());
     }
 
     #[test]
@@ -437,14 +305,13 @@ mod tests {
     #[test]
     fn nonsense_is_refused() {
         for flags in [
-            ["--scenario", "3"],
             ["--listen", "tcp:1"],
             ["--connect", "serial:/dev/ttyUSB0"],
             ["--instances", "0"],
             ["--instances", "256"],
             ["--signing", "maybe"],
-            ["--speedup", "0"],
-            ["--speedup", "nan"],
+            ["--speed", "0"],
+            ["--speed", "nan"],
             ["--ticks", "0"],
             ["--sysid", "0"],
             ["--pace", "fast"],

@@ -8,9 +8,8 @@ use crate::link::endpoint::Endpoint;
 use crate::scenario::Scenario;
 use crate::world::noise::{Noise, Stream};
 
-/// As many as there are system ids. The last, 255, is that of most ground stations, whose other
-/// component ids tell them apart.
-pub const MOST: usize = 255;
+/// Number of system ids. Most ground stations have the last one, 255, with other component ids.
+pub const MAX_VEHICLES: usize = 255;
 
 /// The scenario of vehicle `index`: the first has it as it is, each other one its first obstacle
 /// elsewhere, where it blocks neither start nor goal. A function of the seed and the index alone.
@@ -48,7 +47,7 @@ mod tests {
     fn each_has_its_own_obstacle_which_blocks_nothing_and_is_always_the_same() {
         let base = Scenario::default();
         assert_eq!(scenario(&base, 5, 0), base);
-        let all: Vec<Scenario> = (0..MOST).map(|index| scenario(&base, 5, index)).collect();
+        let all: Vec<Scenario> = (0..MAX_VEHICLES).map(|index| scenario(&base, 5, index)).collect();
         for (index, one) in all.iter().enumerate().skip(1) {
             one.check().unwrap();
             assert_eq!(*one, scenario(&base, 5, index));
@@ -64,8 +63,8 @@ mod tests {
     fn each_has_its_own_ports() {
         let base: Vec<Endpoint> =
             ["udpin:127.0.0.1:14550", "tcpin:127.0.0.1:5760"].map(|t| t.parse().unwrap()).into();
-        let told: Vec<String> = endpoints(&base, 3).unwrap().iter().map(Endpoint::to_string).collect();
-        assert_eq!(told, ["udpin:127.0.0.1:14553", "tcpin:127.0.0.1:5763"]);
+        let shown: Vec<String> = endpoints(&base, 3).unwrap().iter().map(Endpoint::to_string).collect();
+        assert_eq!(shown, ["udpin:127.0.0.1:14553", "tcpin:127.0.0.1:5763"]);
         let last: Vec<Endpoint> = vec!["udpin:127.0.0.1:65535".parse().unwrap()];
         assert_eq!(endpoints(&last, 1), None);
     }

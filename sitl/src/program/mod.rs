@@ -2,6 +2,8 @@
 //!
 //! | module | what it is |
 //! |---|---|
+//! | [`terminal`] | what `sitl`, `gcs` and `model` share: flags, log, output, errors, exit codes, signals |
+//! | [`renamed`] | words of the command line that have changed |
 //! | [`cli`] | flags to a running vehicle |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`shell`] | sockets and timers: lockstep and real time |
@@ -9,8 +11,10 @@
 
 pub mod cli;
 pub mod fleet;
+pub mod renamed;
 mod revision;
 pub mod shell;
+pub mod terminal;
 pub mod timing;
 
 pub use revision::revision;

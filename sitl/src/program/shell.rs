@@ -17,6 +17,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::link::links::{Arrival, BUFFER, Links};
 use crate::link::signing::{Signing, Store};
+use crate::program::terminal::interrupted;
 use crate::program::timing::Histogram;
 use crate::vehicle::Vehicle;
 
@@ -39,7 +40,7 @@ pub enum Ended {
         /// Whether it has.
         acknowledged: bool,
     },
-    /// By Ctrl-C.
+    /// By Ctrl-C or SIGTERM.
     Interrupted,
 }
 
@@ -140,6 +141,7 @@ impl Shell {
         let mut beat = interval(HEARTBEAT);
         let mut resend = Backoff::default();
         let mut last = None;
+        let mut interrupted = std::pin::pin!(interrupted());
         loop {
             self.flush().await;
             if let Some(ended) = self.ended(&mut last) {
@@ -161,7 +163,7 @@ impl Shell {
                 }
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
+                () = &mut interrupted => return Ended::Interrupted,
             }
         }
     }
@@ -174,6 +176,7 @@ impl Shell {
         let mut timer = interval(period);
         timer.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut last = None;
+        let mut interrupted = std::pin::pin!(interrupted());
         loop {
             self.flush().await;
             if let Some(ended) = self.ended(&mut last) {
@@ -185,7 +188,7 @@ impl Shell {
                 due = timer.tick() => self.interval(due),
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                _ = tokio::signal::ctrl_c() => return Ended::Interrupted,
+                () = &mut interrupted => return Ended::Interrupted,
             }
         }
     }

@@ -3,6 +3,8 @@
 //! What the paper does not give is marked *our choice* here and argued in `docs/choices.md`.
 //! An unknown key is an error, and after [`Scenario::load`] nothing checks ranges again.
 
+pub mod presets;
+
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
@@ -418,6 +420,12 @@ pub enum ScenarioError {
         old: &'static str,
         /// What to write instead.
         new: &'static str,
+    },
+    /// `--scenario` names neither a preset nor a file.
+    #[error("there is no scenario file `{name}`, and no such preset; presets: {}", presets::names())]
+    Unknown {
+        /// What was given.
+        name: String,
     },
     /// The paper has Scenarios 1 and 2.
     #[error("there is no scenario {0}; the paper has 1 and 2")]

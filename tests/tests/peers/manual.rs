@@ -19,7 +19,7 @@ fn the_manuals_programs_fly() {
     assert_eq!(examples.len(), 2, "pymavlink's and MAVSDK's");
     let folder = tempfile::tempdir().unwrap();
     for (k, example) in examples.iter().enumerate() {
-        let (sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+        let (sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
         let file = folder.path().join(format!("example{k}.py"));
         assert!(example.contains("127.0.0.1:14550"), "{example}");
         fs::write(&file, example.replace("127.0.0.1:14550", &address.to_string())).unwrap();

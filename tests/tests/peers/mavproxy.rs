@@ -61,7 +61,7 @@ fn file(folder: &Path, name: &str) -> PathBuf {
 #[test]
 fn mavproxy_takes_it_for_a_copter() {
     let folder = tempfile::tempdir().unwrap();
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
     let mut mavproxy = start(address, folder.path(), &[]);
     mavproxy.hears("Detected vehicle 1:1 on link 0").unwrap();
     mavproxy.hears("Mode GUIDED").unwrap();
@@ -123,7 +123,7 @@ fn mavproxy_takes_it_for_a_copter() {
 #[test]
 fn mavproxy_runs_as_a_daemon() {
     let folder = tempfile::tempdir().unwrap();
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
     let flags = ["--daemon", "--non-interactive", "--cmd", "set heartbeat 2; link"];
     let mut mavproxy = start(address, folder.path(), &flags);
     mavproxy.hears("link 1 OK").unwrap();

@@ -4,7 +4,7 @@ use tests::{program, python};
 
 /// Runs a script against a vehicle of its own.
 fn agrees(script: &str) {
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
     let said = python::script(script, &[address.to_string()]).unwrap().good().unwrap();
     assert!(said.ends_with("ok"), "{said}");
 }

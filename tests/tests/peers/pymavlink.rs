@@ -6,7 +6,7 @@ use tests::{program, python};
 
 /// Runs a script against a vehicle of its own.
 fn agrees(script: &str) {
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
     let said = python::script(script, &[address.to_string()]).unwrap().good().unwrap();
     assert!(said.ends_with("ok"), "{said}");
 }
@@ -47,7 +47,7 @@ fn pymavlink_and_the_vehicle_sign() {
     // The script sets SIGN_REQUIRED the first time; a restart needs the flag.
     for (again, policy) in [(&[][..], "optional"), (&["again"][..], "required")] {
         let flags =
-            ["--speedup", "4", "--signing-key", &key_file, "--signing", policy, "--save-params", &params];
+            ["--speed", "4", "--signing-key", &key_file, "--signing", policy, "--save-params", &params];
         let (sitl, address) = program::sitl(&flags).unwrap();
         let address = address.to_string();
         let args = [&[address.as_str(), &key, &frame], again].concat();

@@ -14,15 +14,14 @@ fn free_address() -> SocketAddr {
 }
 
 fn lockstep() -> (Program, SocketAddr) {
-    program::sitl(&["--pace", "lockstep", "--config", "configs/demo.toml", "--ticks", "100"]).unwrap()
+    program::sitl(&["--pace", "lockstep", "--scenario", "demo", "--ticks", "100"]).unwrap()
 }
 
 /// The records of CRPL's flight, from pictures, of the vehicle behind `address`.
 fn flown_through(address: SocketAddr, folder: &Path) -> String {
     let out = folder.join("run");
     let connect = format!("udpout:{address}");
-    let args =
-        ["fly", "--connect", &connect, "--config", "configs/demo.toml", "--out", out.to_str().unwrap()];
+    let args = ["fly", "--connect", &connect, "--scenario", "demo", "--out", out.to_str().unwrap()];
     program::run("gcs", &args).unwrap().good().unwrap();
     let records = fs::read_to_string(out.join("record.jsonl")).unwrap();
     assert_eq!(records.lines().count(), 100);

@@ -165,7 +165,7 @@ impl Guide {
             since: Duration::ZERO,
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
             decoder: Decoder::default(),
-            fleet: Fleet::paced(foreign.speedup),
+            fleet: Fleet::paced(foreign.speed),
             commander: Commander::default(),
             system: foreign.system,
             place: None,
@@ -298,7 +298,7 @@ impl Guide {
 
     /// A duration of the vehicle's time on the wall's clock.
     fn wall(&self, duration: Duration) -> Duration {
-        duration.div_f64(self.foreign.speedup)
+        duration.div_f64(self.foreign.speed)
     }
 
     /// What is to be sent by now.

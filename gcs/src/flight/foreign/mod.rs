@@ -15,11 +15,13 @@ pub mod guide;
 pub mod scene;
 pub mod tracking;
 
+use std::pin::pin;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};
 use tokio::time::{Instant, sleep_until};
 
@@ -29,14 +31,6 @@ use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
 use guide::{Event, Guide, Stack};
 
-/// The scenario of a flight on a foreign autopilot: `configs/foreign.toml`, compiled in.
-const SCENARIO: &str = include_str!("../../../../configs/foreign.toml");
-
-/// The scenario that is flown unless told otherwise.
-pub fn scenario() -> Result<Scenario> {
-    Scenario::from_toml(SCENARIO).map_err(|error| error.context("configs/foreign.toml"))
-}
-
 /// Which vehicle, and how.
 #[derive(Debug, Clone, Copy)]
 pub struct Foreign {
@@ -44,8 +38,8 @@ pub struct Foreign {
     pub stack: Stack,
     /// Its system id, or the first that is heard.
     pub system: Option<u8>,
-    /// How much faster than real time its simulator runs.
-    pub speedup: f64,
+    /// Speed of its simulator relative to real time.
+    pub speed: f64,
 }
 
 /// Takes the vehicle off and flies `station` on it, which is asked once for each percept.
@@ -62,6 +56,7 @@ pub async fn fly(
     let start = Instant::now();
     let mut flight = Flight::default();
     let mut begun = None;
+    let mut interrupted = pin!(interrupted());
     loop {
         let now = start.elapsed();
         let datagram = guide.poll(now);
@@ -93,7 +88,7 @@ pub async fn fly(
         tokio::select! {
             turned = hub.turn() => turned?,
             () = sleep_until(due) => {}
-            _ = tokio::signal::ctrl_c() => {
+            () = &mut interrupted => {
                 let datagram = guide.let_go(start.elapsed());
                 hub.send(&datagram).await?;
                 return end(hub, flight, Ended::Interrupted).await;

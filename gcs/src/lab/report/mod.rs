@@ -26,13 +26,9 @@ use sweeps::Finished;
 
 /// The sweeps of `gcs report all`: file, text, and what there is to say first.
 const SWEEPS: [(&str, &str, &str); 3] = [
-    ("configs/sweep_bandwidth.toml", include_str!("../../../../configs/sweep_bandwidth.toml"), ""),
-    ("configs/sweep_sigma.toml", include_str!("../../../../configs/sweep_sigma.toml"), ""),
-    (
-        "configs/sweep_sigma_literal.toml",
-        include_str!("../../../../configs/sweep_sigma_literal.toml"),
-        LITERAL,
-    ),
+    ("configs/sweep_bandwidth.toml", include_str!("../../../presets/sweep_bandwidth.toml"), ""),
+    ("configs/sweep_sigma.toml", include_str!("../../../presets/sweep_sigma.toml"), ""),
+    ("configs/sweep_sigma_literal.toml", include_str!("../../../presets/sweep_sigma_literal.toml"), LITERAL),
 ];
 
 /// Why the paper's largest σ_c cannot be meant literally.
@@ -46,19 +42,20 @@ const LITERAL: &str = "Read literally, σ_c = 0.01 kicks the speed by 0.01 in ea
 /// Flags of `gcs report`.
 #[derive(Debug, clap::Args)]
 pub struct Report {
-    /// `scenarios`: the paper's Figs. 4 and 5. `all`: these and the sweeps, flown now. DIR: a sweep's folder.
+    /// `scenarios`: fly the paper's Figs. 4 and 5. `all`: fly these and the sweeps of Figs. 6 and 7. DIR: draw a
+    /// finished sweep
     #[arg(value_name = "scenarios|all|DIR")]
     what: String,
-    /// Who flies [default: those in the sweeps' files, and all four of the paper].
+    /// Controllers to fly [default: the paper's four, and those of the sweep files]
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
-    controllers: Option<Vec<Controller>>,
-    /// Flights per point and controller in `all`, instead of the files' number.
+    controller: Option<Vec<Controller>>,
+    /// Override the sweep files' number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     episodes: Option<u64>,
-    /// Folder of a world model; without it the one that ships with the program.
+    /// Folder of the world model [default: the built-in one]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// Folder of the report [default: runs/report, or DIR/report].
+    /// Folder of the report [default: runs/report, or DIR/report]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -114,7 +111,7 @@ pub fn run(args: &Report) -> Result<()> {
         print!("{}", finished.text());
     } else {
         let models = Models::load(args.checkpoint.as_deref(), None)?;
-        scenarios(&mut page, &out, &models, args.controllers.as_deref())?;
+        scenarios(&mut page, &out, &models, args.controller.as_deref())?;
         if args.what == "all" {
             all_sweeps(&mut page, &out, &models, args)?;
         }
@@ -149,7 +146,7 @@ fn scenarios(page: &mut Page, out: &Path, models: &Models, controllers: Option<&
 
 fn all_sweeps(page: &mut Page, out: &Path, models: &Models, args: &Report) -> Result<()> {
     let flags =
-        Overrides { episodes: args.episodes, controllers: args.controllers.clone(), ..Overrides::default() };
+        Overrides { episodes: args.episodes, controllers: args.controller.clone(), ..Overrides::default() };
     for (file, text, words) in SWEEPS {
         let file = SweepFile::parse(text).with_context(|| format!("reading {file}"))?;
         let plan = sweep::resolve(file, &flags, models)?;

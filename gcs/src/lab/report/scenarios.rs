@@ -17,9 +17,8 @@ use crate::lab::{Contender, figures};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
-/// `configs/scenario1.toml` and `configs/scenario2.toml`.
-const CONFIGS: [&str; 2] =
-    [include_str!("../../../../configs/scenario1.toml"), include_str!("../../../../configs/scenario2.toml")];
+/// The presets of Figs. 4 and 5.
+const SCENARIOS: [&str; 2] = ["1-ideal", "2-ideal"];
 
 /// Flights in gusts that tell on which side a controller passes.
 pub const GUSTY: u64 = 200;
@@ -104,8 +103,8 @@ impl Flight {
 
 /// Flies both scenarios by these controllers; in Scenario 2 each flies in gusts, too, so many times.
 pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Vec<Flown>> {
-    let fly_one = |(number, text): (u8, &str)| -> Result<Flown> {
-        let scenario = Scenario::from_toml(text).with_context(|| format!("configs/scenario{number}.toml"))?;
+    let fly_one = |(number, preset): (u8, &str)| -> Result<Flown> {
+        let scenario = Scenario::named(preset)?;
         let mut flights: Vec<Flight> = controllers
             .par_iter()
             .map(|c| Flight::new(&Contender::new(models, *c, &scenario)?, &scenario))
@@ -117,7 +116,7 @@ pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Ve
         }
         Ok(Flown { number, scenario, flights })
     };
-    (1..).zip(CONFIGS).map(fly_one).collect()
+    (1..).zip(SCENARIOS).map(fly_one).collect()
 }
 
 fn gusty_below(models: &Models, controller: Controller, scenario: &Scenario, flights: u64) -> Result<f64> {

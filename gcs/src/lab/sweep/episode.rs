@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn a_line_that_is_none_says_why() {
-        let error = |line: &str| crpl_sitl::program::cli::one_line(&read(line).unwrap_err());
+        let error = |line: &str| crpl_sitl::program::terminal::one_line(&read(line).unwrap_err());
         assert_eq!(error("2.5,rcc,1"), "line 2: 3 columns instead of 11");
         assert_eq!(
             error("2.5,nobody,1,0,0,0,0,0,true,true,true"),

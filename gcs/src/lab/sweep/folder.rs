@@ -22,13 +22,13 @@ struct Sheet {
     plan: Plan,
 }
 
-/// A sweep's folder that belongs to a plan and a share of it.
+/// A sweep's folder, which belongs to a plan and one of its shards.
 #[derive(Debug, Clone)]
 pub struct Folder {
     dir: PathBuf,
     /// What is flown.
     pub plan: Plan,
-    /// Which share of it.
+    /// Which shard of it.
     pub shard: Shard,
 }
 
@@ -42,7 +42,7 @@ pub enum Progress {
 }
 
 impl Folder {
-    /// Begins a folder, or goes on with one of the same plan and share.
+    /// Begins a folder, or resumes one of the same plan and shard.
     pub fn begin(dir: &Path, plan: Plan, shard: Shard) -> Result<Self> {
         let folder = Self { dir: dir.into(), plan, shard };
         if folder.path("sweep.toml").exists() {
@@ -54,7 +54,7 @@ impl Folder {
                 );
             }
             if there.shard != shard {
-                bail!("{} holds share {}, not {shard}", dir.display(), there.shard);
+                bail!("{} holds shard {}, not {shard}", dir.display(), there.shard);
             }
             return Ok(folder);
         }

@@ -117,7 +117,7 @@ mod tests {
         let path = dir.path().join("journal.csv");
         let error = |table: &[u8]| {
             std::fs::write(&path, table).unwrap();
-            crpl_sitl::program::cli::one_line(&Journal::open(&path).unwrap_err())
+            crpl_sitl::program::terminal::one_line(&Journal::open(&path).unwrap_err())
         };
         let said = error(&[&episode::line(Episode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
         assert!(said.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{said}");

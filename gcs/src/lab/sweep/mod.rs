@@ -6,15 +6,15 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
-//! | [`plan`] | what is flown, resolved, with a hash; shares of it | flying |
+//! | [`plan`] | what is flown, resolved, with a hash; its shards | flying |
 //! | [`episode`] | one flight as a line of a table | other flights |
 //! | [`journal`] | finished episodes, safe against any end of the process | what they mean |
 //! | [`folder`] | files of a sweep, begun or finished | flying |
 //! | [`table`] | means, intervals, ratios | files |
-//! | [`merge`] | shares to one sweep | flying |
+//! | [`merge`] | shards to one sweep | flying |
 //!
 //! A unit of work is a point, a controller and a seed; its result depends on the plan and on these alone, so
-//! neither threads, nor shares, nor interruptions change a byte.
+//! neither threads, nor shards, nor interruptions change a byte.
 
 pub mod episode;
 pub mod folder;
@@ -30,11 +30,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
 use crpl_model::world_model::checkpoint;
+use crpl_sitl::program::terminal;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 
 use crate::lab::Contender;
-use crate::station::models::Models;
+use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::Controller;
 use episode::Episode;
 use folder::{Folder, Progress};
@@ -45,37 +46,33 @@ use table::Row;
 /// Flags of `gcs sweep`.
 #[derive(Debug, clap::Args)]
 pub struct Sweep {
-    /// The sweep (TOML): name, axis, points, controllers, episodes, first_seed, [scenario].
+    /// Sweep file (TOML): name, axis, points, controllers, episodes, first_seed, [scenario]
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Other points than the file's.
+    /// Override the file's points
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     points: Option<Vec<f64>>,
-    /// Flights per point and controller, instead of the file's number.
+    /// Override the file's number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     episodes: Option<u64>,
-    /// The first seed, instead of the file's.
-    #[arg(long, value_name = "S")]
+    /// Override the file's first seed
+    #[arg(long, value_name = "N")]
     first_seed: Option<u64>,
-    /// Who flies, instead of those in the file.
+    /// Override the file's controllers
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
-    controllers: Option<Vec<Controller>>,
-    /// Fly share I of N of the seeds only; `gcs merge` joins the shares.
+    controller: Option<Vec<Controller>>,
+    /// Fly only shard I of N, every Nth seed; `gcs merge` joins the shards
     #[arg(long, value_name = "I/N", default_value = "1/1")]
     shard: Shard,
-    /// Threads [default: one per core].
+    /// Number of threads [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Folder of a world model; without it the one that ships with the program.
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
-    /// File with CRPL's policies; without it those that ship with the program.
-    #[arg(long, value_name = "FILE")]
-    policy: Option<PathBuf>,
-    /// Folder of the result; a sweep that was stopped goes on there [default: runs/NAME].
+    #[command(flatten)]
+    models: ModelFiles,
+    /// Folder of the results; an interrupted sweep resumes there [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print one JSON line per point and controller.
+    /// Print one JSON line per point and controller
     #[arg(long)]
     json: bool,
 }
@@ -86,12 +83,12 @@ pub fn run(args: &Sweep) -> Result<()> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
         pool.build_global().context("starting the threads")?;
     }
-    let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
+    let models = args.models.load()?;
     let flags = Overrides {
         points: args.points.clone(),
         episodes: args.episodes,
         first_seed: args.first_seed,
-        controllers: args.controllers.clone(),
+        controllers: args.controller.clone(),
     };
     let plan = resolve(SweepFile::load(&args.config)?, &flags, &models)?;
     let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
@@ -123,7 +120,7 @@ pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<Episode>> {
         Progress::Finished(episodes) => return Ok(episodes),
         Progress::Begun(journal, episodes) => (journal, episodes),
     };
-    let stop = stop_at_ctrl_c()?;
+    let stop = stop_when_interrupted()?;
     let flown = fly(folder, models, &episodes, &journal, &stop)?;
     episodes.extend(flown);
     let episodes = folder.finish(episodes)?;
@@ -179,7 +176,7 @@ fn fly(
     let all = done.len() + flown.len();
     if all < total {
         bail!(
-            "stopped: {all} of {total} episodes are kept in {}; the same command goes on with the rest",
+            "interrupted: {all} of {total} episodes are kept in {}; the same command resumes",
             folder.dir().display()
         );
     }
@@ -199,16 +196,15 @@ fn progress_bar(length: u64, name: &str) -> ProgressBar {
     bar
 }
 
-/// Becomes true at the first Ctrl-C: flights in the air are finished, no new one starts.
-fn stop_at_ctrl_c() -> Result<Arc<AtomicBool>> {
+/// Becomes true at the first Ctrl-C or SIGTERM: flights in the air are finished, no new one starts.
+fn stop_when_interrupted() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_io().build().context("listening for Ctrl-C")?;
+        tokio::runtime::Builder::new_current_thread().enable_io().build().context("listening for signals")?;
     std::thread::spawn(move || {
-        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-            flag.store(true, Ordering::Relaxed);
-        }
+        runtime.block_on(terminal::interrupted());
+        flag.store(true, Ordering::Relaxed);
     });
     Ok(stop)
 }

@@ -1,5 +1,5 @@
 //! What a sweep is: which key takes which values, who flies, on which seeds, in which scenario; and
-//! the share of it that one process takes.
+//! the shard of it that one process flies.
 //!
 //! A plan is resolved before the first flight and decides every number of the result. Its hash names it.
 
@@ -223,8 +223,8 @@ pub fn fingerprint(bytes: &[u8]) -> String {
     format!("{hash:016x}")
 }
 
-/// Share I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every share has all
-/// points and controllers, so shares take equally long and its ratios stay paired.
+/// Shard I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every shard has all
+/// points and controllers, so shards take equally long and their ratios stay paired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     /// I, from 1.
@@ -237,7 +237,7 @@ impl Shard {
     /// All of it.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
-    /// The seeds of `plan` in this share.
+    /// The seeds of `plan` in this shard.
     pub fn seeds(self, plan: &Plan) -> impl Iterator<Item = u64> {
         let first = plan.first_seed;
         plan.seeds().filter(move |seed| (seed - first) % self.of == self.number - 1)
@@ -274,7 +274,7 @@ mod tests {
     }
 
     fn error(text: &str) -> String {
-        crpl_sitl::program::cli::one_line(&plan(text).unwrap_err())
+        crpl_sitl::program::terminal::one_line(&plan(text).unwrap_err())
     }
 
     #[test]
@@ -331,9 +331,9 @@ mod tests {
     fn shares_part_the_seeds() {
         let mut plan = plan(FILE).unwrap();
         (plan.first_seed, plan.episodes) = (10, 8);
-        let share = |text: &str| text.parse::<Shard>().unwrap().seeds(&plan).collect::<Vec<_>>();
+        let shard = |text: &str| text.parse::<Shard>().unwrap().seeds(&plan).collect::<Vec<_>>();
         assert_eq!(
-            [share("1/3"), share("2/3"), share("3/3")],
+            [shard("1/3"), shard("2/3"), shard("3/3")],
             [vec![10, 13, 16], vec![11, 14, 17], vec![12, 15]]
         );
         for text in ["0/3", "4/3", "1", "a/b", "1/0", "/"] {

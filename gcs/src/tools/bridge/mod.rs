@@ -18,13 +18,13 @@ pub mod router;
 pub mod seal;
 pub mod tcp;
 
-use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Result;
 use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::terminal::{interrupted, say};
 use tokio::time::{Instant, interval_at};
 
 use hub::{Hub, Side};
@@ -33,25 +33,25 @@ use router::Notice;
 /// Flags of `gcs bridge`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Bridge {
-    /// The vehicle: udpin, udpout, tcpin or tcpout, as udpout:HOST:PORT; several if given again
+    /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
     #[arg(long, value_name = "ENDPOINT", required = true)]
-    master: Vec<Endpoint>,
-    /// Who shares it: the same kinds, as many as are wanted
+    connect: Vec<Endpoint>,
+    /// Endpoints of the tools that share the vehicle; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
-    out: Vec<Endpoint>,
-    /// Sign what goes to the vehicle and pass on only what it has signed, by the key in a file: TOML with
-    /// `key` (64 hexadecimal digits) or `passphrase`; those who share it need none
+    forward: Vec<Endpoint>,
+    /// Sign all messages to the vehicle, and accept only signed ones from it, with the key in this file: TOML
+    /// with `key` (64 hexadecimal digits) or `passphrase`. The tools need no key
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
-    /// Serve counters to Prometheus at http://ADDR/metrics
+    /// Serve the counters to Prometheus at http://ADDR/metrics
     #[arg(long, value_name = "ADDR")]
     metrics: Option<SocketAddr>,
-    /// Write all that passes into a tlog
+    /// Log all packets to a tlog
     #[arg(long, value_name = "FILE")]
     tlog: Option<PathBuf>,
-    /// Print the counters every so many seconds; 0 prints them at the end alone
+    /// Print the counters every SECONDS; 0: only at the end
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
-    stats: u64,
+    every: u64,
 }
 
 /// How often the log and the timestamps of signatures are written.
@@ -63,7 +63,7 @@ pub async fn run(args: Bridge) -> Result<()> {
     if let Some(path) = &args.signing_key {
         hub.seal_masters(path)?;
     }
-    let sides = [("master", Side::Master, &args.master), ("out", Side::Out, &args.out)];
+    let sides = [("vehicle", Side::Master, &args.connect), ("forward", Side::Out, &args.forward)];
     for (role, side, endpoints) in sides {
         for endpoint in endpoints {
             say(&format!("{role}: {}", hub.open_on(endpoint, side).await?));
@@ -78,7 +78,7 @@ pub async fn run(args: Bridge) -> Result<()> {
         say(&format!("metrics: http://{address}/metrics"));
         scrapes = Some(requests);
     }
-    route(&mut hub, scrapes, Duration::from_secs(args.stats)).await?;
+    route(&mut hub, scrapes, Duration::from_secs(args.every)).await?;
     hub.close().await?;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
     Ok(())
@@ -92,7 +92,7 @@ async fn route(
     let mut tick = interval_at(Instant::now() + SAVE, SAVE);
     let mut printed = Instant::now();
     let mut before = Vec::new();
-    let mut interrupted = std::pin::pin!(crpl_sitl::program::cli::interrupted());
+    let mut interrupted = std::pin::pin!(interrupted());
     loop {
         tokio::select! {
             done = hub.turn() => done?,
@@ -137,10 +137,4 @@ pub fn tell(notice: &Notice, hub: &Hub) {
             tracing::warn!("{}: the operator has changed the mode", hub.router().name(*link));
         }
     }
-}
-
-/// A line on stdout at once, even into a pipe. A reader that has gone away is no reason to stop.
-fn say(line: &str) {
-    let mut stdout = std::io::stdout().lock();
-    let _ = writeln!(stdout, "{}", line.trim_end()).and_then(|()| stdout.flush());
 }

@@ -298,7 +298,7 @@ mod tests {
                 "item 0: 1 params in place of 7",
             ),
         ] {
-            let error = crpl_sitl::program::cli::one_line(&parse(text).unwrap_err());
+            let error = crpl_sitl::program::terminal::one_line(&parse(text).unwrap_err());
             assert!(error.starts_with(why), "{error}");
         }
     }

@@ -33,17 +33,17 @@ pub struct Missions {
 
 #[derive(Debug, Clone, Subcommand)]
 enum Action {
-    /// Give the vehicle the mission of a file
+    /// Upload a mission file
     Upload {
         /// .plan (QGroundControl) or `QGC WPL 110` text
         file: PathBuf,
     },
-    /// Write the vehicle's mission to a file
+    /// Download the vehicle's mission to a file
     Download {
-        /// .plan (QGroundControl), any other name: `QGC WPL 110` text
+        /// .plan (QGroundControl); with any other ending `QGC WPL 110` text
         file: PathBuf,
     },
-    /// Take the vehicle's mission away
+    /// Clear the vehicle's mission
     Clear,
 }
 
@@ -63,7 +63,7 @@ pub async fn run(args: Missions) -> Result<()> {
             let plan = plan.unwrap_or_default();
             let items = plan.items_for(ardupilot);
             if items.is_empty() {
-                bail!("{}: no item in it; `gcs mission clear` takes a mission away", file.display());
+                bail!("{}: no item in it; `gcs mission clear` clears a mission", file.display());
             }
             let count = items.len();
             session.run(&mut Upload::new(items, target)).await?;

@@ -34,28 +34,28 @@ pub struct Params {
 enum Action {
     /// Print all parameters
     List,
-    /// Print some
+    /// Print some parameters
     Get {
-        /// Names
+        /// Names of the parameters
         #[arg(required = true)]
         names: Vec<String>,
     },
-    /// Set one
+    /// Set one parameter
     Set {
-        /// Name
+        /// Name of the parameter
         name: String,
-        /// Number; whole for an integer parameter
+        /// New value; an integer for an integer parameter
         #[arg(allow_negative_numbers = true)]
         value: String,
     },
-    /// Set all that a file names and that differ
+    /// Set all parameters of a file that differ
     Load {
         /// .param (NAME VALUE) or .params (QGroundControl)
         file: PathBuf,
     },
-    /// Write all to a file
+    /// Save all parameters to a file
     Save {
-        /// .param (NAME VALUE), or .params (QGroundControl)
+        /// .param (NAME VALUE) or .params (QGroundControl)
         file: PathBuf,
     },
 }
@@ -143,7 +143,7 @@ async fn load(session: &mut Session, wanted: &[file::Line], encoding: Encoding) 
                 changed += 1;
             }
             Err(error) => {
-                println!("{} (line {})", crpl_sitl::program::cli::one_line(&error), line.number);
+                println!("{} (line {})", crpl_sitl::program::terminal::one_line(&error), line.number);
                 refused += 1;
             }
         }

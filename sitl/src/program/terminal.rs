@@ -1,0 +1,201 @@
+//! What `sitl`, `gcs` and `model` do alike at a terminal: flags, version, log, output, errors, exit codes
+//! and signals.
+//!
+//! Exit codes: 0 for success, 1 for an error, 2 for wrong flags. Results go to stdout, the log and errors
+//! to stderr; an error takes one line.
+
+use std::future::Future;
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Command, Parser};
+
+use super::renamed;
+use crate::link::endpoint::Endpoint;
+
+/// A whole program: parses the flags, starts the log, does `work`, and tells an error.
+pub fn main<P: Parser>(work: impl FnOnce(P) -> Result<()>) -> ExitCode {
+    let args = match P::try_parse() {
+        Ok(args) => args,
+        Err(error) => return usage(&P::command(), &error, std::env::args().skip(1)),
+    };
+    log();
+    match work(args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", one_line(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Runs `work` to its end, with sockets and timers.
+///
+/// # Errors
+/// Those of `work`, and a system that gives no timers.
+pub fn block_on<T>(work: impl Future<Output = Result<T>>) -> Result<T> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    runtime.context("starting the runtime")?.block_on(work)
+}
+
+/// Logs to stderr, from level info on unless RUST_LOG says otherwise; colours on a terminal only.
+fn log() {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
+        )
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+}
+
+/// Prints help or version as clap does, the version with the revision; a wrong flag in one line.
+fn usage(program: &Command, error: &clap::Error, args: impl Iterator<Item = String>) -> ExitCode {
+    if error.kind() == ErrorKind::DisplayVersion {
+        say(&format!("{} ({})", error.to_string().trim_end(), super::revision()));
+        return ExitCode::SUCCESS;
+    }
+    if !error.use_stderr() {
+        // A reader that has gone away wants no help.
+        let _ = error.print();
+        return ExitCode::SUCCESS;
+    }
+    eprintln!("{} (see --help)", complaint(program, error, args));
+    ExitCode::from(2)
+}
+
+/// What is wrong with `args`, in one line.
+fn complaint(program: &Command, error: &clap::Error, args: impl Iterator<Item = String>) -> String {
+    if let Some((_, ContextValue::String(unknown))) = error
+        .context()
+        .find(|(kind, _)| matches!(kind, ContextKind::InvalidArg | ContextKind::InvalidSubcommand))
+        && let Some(new) = renamed::replacement(&command_of(program, args), unknown)
+    {
+        return format!("error: {unknown} is now {new}");
+    }
+    let text = error.render().to_string();
+    let first: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+    first.join(" ")
+}
+
+/// The program's name and the subcommand's, if `args` name one.
+fn command_of(program: &Command, mut args: impl Iterator<Item = String>) -> String {
+    let name = program.get_name();
+    match args.find_map(|arg| program.find_subcommand(arg)) {
+        Some(command) => format!("{name} {}", command.get_name()),
+        None => name.to_owned(),
+    }
+}
+
+/// An error and its causes in one line: each said once, without a parser's drawing of the place.
+#[must_use]
+pub fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let text = cause.to_string();
+        let drawn =
+            |part: &&str| part.trim_start_matches(|c: char| c.is_ascii_digit() || c == ' ').starts_with('|');
+        let text: Vec<&str> = text.lines().filter(|part| !part.is_empty() && !drawn(part)).collect();
+        let text = text.join(": ");
+        if !line.contains(&text) {
+            line.push_str(if line.is_empty() { "" } else { ": " });
+            line.push_str(&text);
+        }
+    }
+    line
+}
+
+/// Writes a line to stdout at once, even into a pipe. A closed pipe is no reason to stop.
+pub fn say(line: &str) {
+    let mut stdout = std::io::stdout().lock();
+    let _ = writeln!(stdout, "{}", line.trim_end()).and_then(|()| stdout.flush());
+}
+
+/// Returns on Ctrl-C, or when asked to end (SIGTERM), as `docker stop` and service managers do.
+pub async fn interrupted() {
+    #[cfg(unix)]
+    {
+        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
+        if let Ok(mut terminate) = terminate {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
+}
+
+/// A flag's value: a number above 0.
+///
+/// # Errors
+/// The text is no such number.
+pub fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
+        _ => Err("must be a number above 0".into()),
+    }
+}
+
+/// A flag's value: a folder. An endpoint in its place, as `--out` once took it, is an error.
+///
+/// # Errors
+/// The text is an endpoint.
+pub fn folder(text: &str) -> Result<PathBuf, String> {
+    match text.parse::<Endpoint>() {
+        Ok(_) => Err("must be a folder; endpoints are now given by --forward ENDPOINT".into()),
+        Err(_) => Ok(text.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+    use crate::program::cli::Args;
+
+    fn complaint_about(args: &[&str]) -> String {
+        let error = Args::try_parse_from([&["sitl"], args].concat()).unwrap_err();
+        complaint(&<Args as clap::CommandFactory>::command(), &error, args.iter().map(ToString::to_string))
+    }
+
+    #[test]
+    fn old_words_name_the_new_ones_and_others_are_clap_s() {
+        for args in [&["--config", "x.toml"][..], &["--config=x.toml"], &["--seed", "1", "--config"]] {
+            assert_eq!(complaint_about(args), "error: --config is now --scenario FILE|NAME", "{args:?}");
+        }
+        assert_eq!(complaint_about(&["--speedup", "2"]), "error: --speedup is now --speed X");
+        assert!(complaint_about(&["--sped", "2"]).starts_with("error: unexpected argument '--sped'"));
+        let line = complaint_about(&["--speed", "0"]);
+        assert!(line.contains("--speed <X>") && line.contains("must be a number above 0"), "{line}");
+    }
+
+    #[test]
+    fn an_error_is_one_line_that_names_file_key_and_place() {
+        let path = std::env::temp_dir().join(format!("sitl-{}.toml", std::process::id()));
+        std::fs::write(&path, "[radio]\nbandwith = 1\n").unwrap();
+        let error = Scenario::load(&path).unwrap_err().into();
+        std::fs::remove_file(&path).unwrap();
+        let line = one_line(&error);
+        let start = format!(
+            "reading {}: TOML parse error at line 2, column 1: unknown field `bandwith`",
+            path.display()
+        );
+        assert!(line.starts_with(&start) && !line.contains('\n'), "{line}");
+
+        let error = Scenario::load(&path).unwrap_err();
+        assert_eq!(one_line(&error.into()).matches("No such file").count(), 1);
+    }
+
+    #[test]
+    fn folders_are_no_endpoints() {
+        for path in ["runs/flight", "/tmp/x:y", "C:\\runs", "runs/12:30"] {
+            assert_eq!(folder(path), Ok(path.into()));
+        }
+        assert!(folder("udpout:127.0.0.1:14550").unwrap_err().contains("--forward"));
+    }
+}

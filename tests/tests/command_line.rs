@@ -1,0 +1,70 @@
+//! The command line of the three programs: words that have changed, presets, versions.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
+
+use crpl_sitl::program::renamed::RENAMED;
+use crpl_sitl::scenario::presets;
+use tests::program;
+
+/// Exit code and stderr of a command that is refused.
+fn refused(command: &str, args: &[&str]) -> (Option<i32>, String) {
+    let mut words = command.split(' ');
+    let name = words.next().unwrap();
+    let args: Vec<&str> = words.chain(args.iter().copied()).collect();
+    let finished = program::run(name, &args).unwrap();
+    (finished.status.code(), finished.stderr)
+}
+
+#[test]
+fn an_old_word_is_refused_with_the_new_one() {
+    for renamed in RENAMED {
+        for command in renamed.commands {
+            let told = refused(command, &[renamed.old, "2"]);
+            let expected = format!("error: {} is now {} (see --help)", renamed.old, renamed.new);
+            assert_eq!(told, (Some(2), expected), "{command} {}", renamed.old);
+        }
+    }
+    for command in ["gcs demo", "gcs fly --connect udpout:127.0.0.1:9"] {
+        let (code, told) = refused(command, &["--out", "udpout:127.0.0.1:14551"]);
+        assert!(code == Some(2) && told.contains("--forward ENDPOINT"), "{command}: {told}");
+    }
+}
+
+#[test]
+fn an_unknown_scenario_is_answered_with_the_presets() {
+    for command in ["sitl", "gcs demo", "gcs episodes", "gcs optimise", "gcs check"] {
+        let (code, told) = refused(command, &["--scenario", "gutsy"]);
+        assert_eq!(code, Some(1), "{command}");
+        assert!(told.contains("`gutsy`") && told.ends_with(&presets::names()), "{command}: {told}");
+    }
+}
+
+#[test]
+fn versions_name_the_revision() {
+    for name in ["sitl", "gcs", "model"] {
+        let printed = program::run(name, &["--version"]).unwrap().good().unwrap();
+        let start = format!("{name} {} (", env!("CARGO_PKG_VERSION"));
+        assert!(printed.starts_with(&start) && printed.trim_end().ends_with(')'), "{printed}");
+    }
+}
+
+/// Help that a terminal of 80 columns shows without breaking its lines, and each default once.
+#[test]
+fn help_fits_80_columns() {
+    let gcs = "demo fly episodes optimise check sweep merge report bridge param mission replay sitl";
+    let model = "collect train predictors ablate robustness evaluate";
+    let commands = [("sitl", ""), ("gcs", gcs), ("model", model)];
+    for (name, subcommands) in commands {
+        for sub in
+            std::iter::once("").chain(subcommands.split(' ')).filter(|s| name != "sitl" || s.is_empty())
+        {
+            let mut command = std::process::Command::new(program::path(name).unwrap());
+            command.args(Some(sub).filter(|s| !s.is_empty())).arg("--help").env("COLUMNS", "80");
+            let help = program::Program::spawn(name, command).unwrap().wait().unwrap().good().unwrap();
+            for line in help.lines() {
+                assert!(line.chars().count() <= 80, "{name} {sub}: {line:?}");
+                assert!(line.matches("[default").count() <= 1, "{name} {sub}: {line:?}");
+            }
+        }
+    }
+}
