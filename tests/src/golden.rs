@@ -168,7 +168,7 @@ pub struct Flight {
 /// Scores of a [`Flight`]; those that our records do not have are left out.
 #[derive(Debug, Deserialize)]
 #[expect(non_snake_case, reason = "the names of the reference files")]
-#[expect(missing_docs, reason = "the metrics of crpl_sitl::sim::record::Metrics")]
+#[expect(missing_docs, reason = "the metrics of crpl_sitl::sim::metric::Metric")]
 pub struct FlightMetrics {
     pub d_f: f64,
     pub E_comm: f64,

@@ -18,6 +18,7 @@ use crpl_gcs::station::pilot::{Controller, Pilot};
 use crpl_gcs::station::seen::MotionLimits;
 use crpl_model::planning::policy::Policies;
 use crpl_sitl::radio::Fates;
+use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use crpl_sitl::vehicle::Vehicle;
 use crpl_sitl::world::noise::{Noise, Stream};
 use crpl_sitl::{Scenario, Sim};
@@ -186,10 +187,10 @@ fn the_shipped_policies_fly_both_scenarios_from_pictures() {
             let mut station = models.station(Controller::Crpl, &scenario).unwrap();
             let mut sim = Sim::new(scenario.clone(), seed);
             lab::fly(&mut sim, &mut station, scenario.horizon);
-            let metrics = station.metrics().unwrap();
+            let score = station.score().unwrap();
             let last = station.records().last().unwrap().r_next;
             assert!(last.iter().all(|x| (0.02..=0.98).contains(x)), "seed {seed} ends at a wall: {last}");
-            sum += metrics.d_f;
+            sum += score[Metric::TerminalDistance];
         }
         assert!(sum / 30.0 <= 0.03, "scenario {number}: mean d_f {}", sum / 30.0);
     }
@@ -206,8 +207,9 @@ fn an_untrained_policy_does_not_reach_the_goal() {
     let mut station = Station::new(scenario.clone(), models.world.clone(), pilot);
     let mut sim = Sim::new(scenario.clone(), SEED);
     lab::fly(&mut sim, &mut station, scenario.horizon);
-    let metrics = station.metrics().unwrap();
-    assert!(!metrics.reached && metrics.d_f > 0.2, "{metrics:?}");
+    let score = station.score().unwrap();
+    let far = score[Metric::TerminalDistance] > 0.2;
+    assert!(far && !score.is(FlightOutcome::Reached), "{score:?}");
 }
 
 /// One clear line that holds each of `words`, and a non-zero exit.

@@ -11,6 +11,7 @@ use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
+use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
 use tests::program::{self, Program};
 
@@ -74,17 +75,17 @@ fn crpl_reaches_its_goal_on_both() {
     for (fake, stack, name) in STACKS {
         let story = story((fake, stack), |_, _, _| {});
         assert!(matches!(story.end, Event::Holding), "{name}: {:?} {:?}", story.end, story.said);
-        let metrics = story.station.metrics().unwrap();
-        assert!(metrics.reached, "{name}: {metrics:?}");
-        assert!(metrics.p_coll_max < 0.2, "{name}: {metrics:?}");
-        assert_eq!(metrics.ticks, scenario().horizon);
+        let score = story.station.score().unwrap();
+        assert!(score.is(FlightOutcome::Reached), "{name}: {score:?}");
+        assert!(score[Metric::CollisionProbability] < 0.2, "{name}: {score:?}");
+        assert_eq!(score.ticks, scenario().horizon);
         assert!(!story.autopilot.poisoned && !story.autopilot.starved, "{name}");
         // PX4 wants more than two setpoints a second.
         assert!(story.setpoints_per_s > 10.0, "{name}: {}", story.setpoints_per_s);
         let height = -story.autopilot.position()[2];
         assert!((height - scenario().scale.altitude_m).abs() < 1.0, "{name} ends at {height} m");
         // The radio hears a level with every command.
-        assert_eq!(story.autopilot.powers.len() as u64, metrics.ticks, "{name}");
+        assert_eq!(story.autopilot.powers.len() as u64, score.ticks, "{name}");
     }
 }
 

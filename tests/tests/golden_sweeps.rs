@@ -4,11 +4,10 @@
 
 use crpl_gcs::lab::Contender;
 use crpl_gcs::lab::stats::Mean;
-use crpl_gcs::lab::sweep::episode::Outcome;
-use crpl_gcs::lab::sweep::table::Metric;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
+use crpl_sitl::sim::metric::{FlightScore, Metric};
 use serde::Deserialize;
 use tests::golden::read;
 use tests::program;
@@ -69,10 +68,10 @@ impl Published {
     /// Each figure that was published, with half the unit of its last digit.
     fn figures(&self) -> impl Iterator<Item = (Metric, f64, f64)> {
         [
-            (Metric::TerminalError, self.d_f, 0.0005),
+            (Metric::TerminalDistance, self.d_f, 0.0005),
             (Metric::TransmitEnergy, self.e_comm, 0.5),
-            (Metric::OutageTime, self.t_out, 0.05),
-            (Metric::CollisionRisk, self.p_coll_max, 0.0005),
+            (Metric::Outages, self.t_out, 0.05),
+            (Metric::CollisionProbability, self.p_coll_max, 0.0005),
         ]
         .into_iter()
         .filter_map(|(metric, figure, rounding)| Some((metric, figure?, rounding)))
@@ -102,10 +101,9 @@ fn assert_agrees(row: &Published, models: &Models) {
     scenario.radio.b_dt = row.b_dt;
     scenario.disturbance.sigma_c = row.kick / scenario.disturbance.noise_gain;
     let contender = Contender::new(models, row.controller, &scenario).unwrap();
-    let flights: Vec<Outcome> =
-        (0..FLIGHTS).map(|seed| Outcome::from(&contender.fly(200_000 + seed).unwrap())).collect();
+    let flights: Vec<FlightScore> = (0..FLIGHTS).map(|seed| contender.fly(200_000 + seed).unwrap()).collect();
     for (metric, published, rounding) in row.figures() {
-        let here = Mean::of(&flights.iter().map(|o| metric.of(o)).collect::<Vec<_>>());
+        let here = Mean::of(&flights.iter().map(|flight| flight[metric]).collect::<Vec<_>>());
         let error = here.sd * (1.0 / FLIGHTS as f64 + 1.0 / f64::from(row.episodes)).sqrt();
         let apart = (here.mean - published).abs();
         assert!(

@@ -4,7 +4,8 @@ use crpl_sitl::Scenario;
 use crpl_sitl::radio::Gate;
 use crpl_sitl::radio::message::Command;
 use crpl_sitl::scenario::Rule;
-use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::sim::metric::{FlightScore, Metric};
+use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Motion, Snr, Tick, TxPower};
 use crpl_sitl::world::{World, channel, dynamics, energy, safety};
 use serde::Deserialize;
@@ -168,13 +169,18 @@ fn closed_loop_flights_from_their_commands() {
         let (scenario, name) = (flight.scenario(&file.params), flight.name());
         let records = replay(flight, &scenario, &name);
 
-        let metrics = Metrics::of(&records, &scenario).unwrap();
+        let score = FlightScore::of(&records, &scenario).unwrap();
         let want = &flight.metrics;
-        assert_close(metrics.d_f, want.d_f, 1e-9, &format!("{name}: d_f"));
-        assert_close(metrics.e_comm, want.E_comm, 1e-9, &format!("{name}: E_comm"));
-        assert_close(metrics.e_ctrl, want.E_ctrl, 1e-9, &format!("{name}: E_ctrl"));
-        assert_close(metrics.p_coll_max, want.p_coll_max, 1e-9, &format!("{name}: p_coll_max"));
-        assert_close(metrics.t_out as f64, want.N_out, 1e-9, &format!("{name}: outages"));
+        assert_close(score[Metric::TerminalDistance], want.d_f, 1e-9, &format!("{name}: d_f"));
+        assert_close(score[Metric::TransmitEnergy], want.E_comm, 1e-9, &format!("{name}: E_comm"));
+        assert_close(score[Metric::PropulsionEnergy], want.E_ctrl, 1e-9, &format!("{name}: E_ctrl"));
+        assert_close(
+            score[Metric::CollisionProbability],
+            want.p_coll_max,
+            1e-9,
+            &format!("{name}: p_coll_max"),
+        );
+        assert_close(score[Metric::Outages], want.N_out, 1e-9, &format!("{name}: outages"));
     }
 }
 

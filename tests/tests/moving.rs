@@ -6,9 +6,10 @@
 use std::path::{Path, PathBuf};
 
 use crpl_gcs::lab::run;
-use crpl_gcs::lab::{self, Contender, Scored};
+use crpl_gcs::lab::{self, Contender};
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_sitl::sim::metric::{FlightScore, Metric};
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::noise::{Noise, Stream};
 use crpl_sitl::world::obstacles::Obstacles;
@@ -22,14 +23,14 @@ fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs").join(name)
 }
 
-fn fly(controller: Controller, name: &str) -> Vec<Scored> {
+fn fly(controller: Controller, name: &str) -> Vec<FlightScore> {
     let scenario = Scenario::load(&config(name)).unwrap();
     let contender = Contender::new(&Models::load(None, None).unwrap(), controller, &scenario).unwrap();
     (0..FLIGHTS).map(|seed| contender.fly(seed).unwrap()).collect()
 }
 
-fn riskiest(flights: &[Scored]) -> f64 {
-    flights.iter().map(|flight| flight.metrics.p_coll_max).fold(0.0, f64::max)
+fn riskiest(flights: &[FlightScore]) -> f64 {
+    flights.iter().map(|flight| flight[Metric::CollisionProbability]).fold(0.0, f64::max)
 }
 
 /// Means over 20 flights: p_coll 0.01 and 0.02, d_f 0.01 and 0.02. The limits here are wide: contact is 0.5.
@@ -38,7 +39,7 @@ fn crpl_rh_goes_round_what_flies_into_crpl() {
     for name in ["moving_fast.toml", "two_obstacles.toml"] {
         let flights = fly(Controller::CrplRh, name);
         assert!(riskiest(&flights) < 0.2, "{name}: {flights:?}");
-        let far = flights.iter().map(|flight| flight.metrics.d_f).fold(0.0, f64::max);
+        let far = flights.iter().map(|flight| flight[Metric::TerminalDistance]).fold(0.0, f64::max);
         assert!(far < 0.1, "{name}: {flights:?}");
         let blind = fly(Controller::Crpl, name);
         assert!(riskiest(&blind) > 0.4, "{name} asks nothing: {blind:?}");

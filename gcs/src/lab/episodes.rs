@@ -6,13 +6,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use crpl_sitl::Scenario;
-use crpl_sitl::sim::record::Metrics;
+use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::lab::stats::Mean;
-use crate::lab::{Contender, Scored, demo};
+use crate::lab::{Contender, demo};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -57,16 +57,9 @@ pub struct Row {
     pub reached: f64,
     /// Flights that ended with the UAV's centre within 0.02 of a wall.
     pub at_wall: u64,
-    /// Terminal distance.
-    pub d_f: Mean,
-    /// Transmit energy.
-    pub e_comm: Mean,
-    /// Propulsion energy, J.
-    pub e_ctrl: Mean,
-    /// Largest collision probability.
-    pub p_coll_max: Mean,
-    /// Intervals in outage.
-    pub t_out: Mean,
+    /// Means.
+    #[serde(flatten)]
+    pub metrics: PerMetric<Mean>,
     /// Share of flights that pass below the obstacle (smaller y at its x).
     pub below: f64,
 }
@@ -87,7 +80,7 @@ pub fn run(args: &Episodes) -> Result<()> {
     }
     for controller in &args.controllers {
         let contender = Contender::new(&models, *controller, &scenario)?;
-        let flights: Vec<Scored> = (args.first_seed..args.first_seed + args.episodes)
+        let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)
             .into_par_iter()
             .map(|seed| {
                 let scored = contender.fly(seed);
@@ -102,25 +95,19 @@ pub fn run(args: &Episodes) -> Result<()> {
     Ok(())
 }
 
-fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[Scored]) -> Row {
-    let mean =
-        |of: fn(&Metrics) -> f64| Mean::of(&flights.iter().map(|f| of(&f.metrics)).collect::<Vec<_>>());
-    let share = |of: fn(&Scored) -> bool| {
-        flights.iter().filter(|f| of(f)).count() as f64 / flights.len().max(1) as f64
-    };
+fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[FlightScore]) -> Row {
+    let mean = |metric: Metric| Mean::of(&flights.iter().map(|f| f[metric]).collect::<Vec<_>>());
+    let count = |outcome: FlightOutcome| flights.iter().filter(|f| f.is(outcome)).count() as u64;
+    let share = |outcome: FlightOutcome| count(outcome) as f64 / flights.len().max(1) as f64;
     Row {
         controller,
         scenario: scenario.name.clone(),
         episodes: flights.len() as u64,
         first_seed,
-        reached: share(|f| f.metrics.reached),
-        at_wall: flights.iter().filter(|f| f.at_wall).count() as u64,
-        d_f: mean(|m| m.d_f),
-        e_comm: mean(|m| m.e_comm),
-        e_ctrl: mean(|m| m.e_ctrl),
-        p_coll_max: mean(|m| m.p_coll_max),
-        t_out: mean(|m| m.t_out as f64),
-        below: share(|f| f.below),
+        reached: share(FlightOutcome::Reached),
+        at_wall: count(FlightOutcome::AtWall),
+        metrics: PerMetric::from_fn(mean),
+        below: share(FlightOutcome::Below),
     }
 }
 
@@ -132,14 +119,8 @@ fn show(row: &Row, json: bool) -> Result<()> {
     let cell = |m: &Mean| format!("{:.4} [{:.4}, {:.4}]", m.mean, m.ci[0], m.ci[1]);
     println!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed);
     println!("  reached {:.3}, at a wall {}, below the obstacle {:.3}", row.reached, row.at_wall, row.below);
-    for (name, mean) in [
-        ("d_f", &row.d_f),
-        ("E_comm", &row.e_comm),
-        ("E_ctrl", &row.e_ctrl),
-        ("p_coll", &row.p_coll_max),
-        ("T_out", &row.t_out),
-    ] {
-        println!("  {name:<8}{}", cell(mean));
+    for (metric, mean) in row.metrics.iter() {
+        println!("  {:<8}{}", metric.symbol(), cell(mean));
     }
     Ok(())
 }

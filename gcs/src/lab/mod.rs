@@ -17,7 +17,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
-use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::sim::metric::FlightScore;
+use crpl_sitl::sim::record::Record;
 use crpl_sitl::{Scenario, Sim};
 
 use crate::station::Station;
@@ -25,9 +26,6 @@ use crate::station::models::Models;
 use crate::station::pilot::crpl::Crpl;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
-
-/// How near to a wall a flight must end to count as ended there, units: the UAV's radius.
-const AT_WALL: f64 = 0.02;
 
 /// Flies `ticks` control intervals, pictures rendered and encoded at each.
 pub fn fly(sim: &mut Sim, station: &mut Station, ticks: u64) {
@@ -47,17 +45,6 @@ pub struct Contender {
     scenario: Scenario,
     world: Arc<WorldModel>,
     pilot: Pilot,
-}
-
-/// One flight's score, and where it went.
-#[derive(Debug, Clone, Copy)]
-pub struct Scored {
-    /// The paper's metrics.
-    pub metrics: Metrics,
-    /// Whether it ended within 0.02 of a wall.
-    pub at_wall: bool,
-    /// Whether it passed below the obstacle: at smaller y where it first reached the obstacle's x.
-    pub below: bool,
 }
 
 impl Contender {
@@ -95,15 +82,11 @@ impl Contender {
     }
 
     /// A whole flight's score.
-    pub fn fly(&self, seed: u64) -> Result<Scored> {
-        let station = self.flown(seed);
-        let metrics = station.metrics().context("no interval was flown")?;
-        let last = station.records().last().context("no interval was flown")?;
-        Ok(Scored {
-            metrics,
-            at_wall: last.r_next.iter().any(|x| x.min(1.0 - x) < AT_WALL),
-            below: below(station.records(), &self.scenario),
-        })
+    ///
+    /// # Errors
+    /// If the scenario's horizon is 0.
+    pub fn fly(&self, seed: u64) -> Result<FlightScore> {
+        self.flown(seed).score().context("no interval was flown")
     }
 
     fn flown(&self, seed: u64) -> Station {
@@ -112,11 +95,4 @@ impl Contender {
         fly(&mut sim, &mut station, self.scenario.horizon);
         station
     }
-}
-
-/// Whether a flight passed below the obstacle's first position.
-#[must_use]
-pub fn below(records: &[Record], scenario: &Scenario) -> bool {
-    let obstacle = scenario.obstacle.position;
-    records.iter().map(|r| r.r_next).find(|r| r.x >= obstacle.x).is_some_and(|r| r.y < obstacle.y)
 }

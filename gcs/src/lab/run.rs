@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Fates;
-use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
+use crpl_sitl::sim::record::Record;
 use serde::Serialize;
 
 use crate::flight::{Ended, Flight};
@@ -24,9 +25,9 @@ pub struct Summary {
     pub scenario: String,
     /// Seed of the disturbance; `None` if the vehicle was not started by us.
     pub seed: Option<u64>,
-    /// The paper's metrics.
+    /// Its score.
     #[serde(flatten)]
-    pub metrics: Metrics,
+    pub score: FlightScore,
     /// What became of the commands.
     pub commands: Fates,
     /// Intervals of which no percept arrived.
@@ -57,19 +58,19 @@ impl Summary {
     #[must_use]
     pub fn of(controller: Controller, seed: Option<u64>, station: &Station, flight: &Flight) -> Option<Self> {
         let scenario = station.scenario();
-        let metrics = station.metrics()?;
+        let score = station.score()?;
         let mut sorted = flight.latencies_us.clone();
         sorted.sort_by(f64::total_cmp);
         let at = |q: f64| {
             let rank = (q * sorted.len() as f64).ceil() as usize;
             sorted.get(rank.saturating_sub(1)).map_or(f64::NAN, |us| us / 1e3)
         };
-        let simulated = metrics.ticks as f64 * scenario.scale.interval_s;
+        let simulated = score.ticks as f64 * scenario.scale.interval_s;
         Some(Self {
             controller,
             scenario: scenario.name.clone(),
             seed,
-            metrics,
+            score,
             commands: station.fates(),
             missed: station.missed(),
             latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
@@ -104,7 +105,8 @@ pub fn begin(dir: &Path, scenario: &Scenario) -> Result<PathBuf> {
 /// Writes records, plot and provenance once the flight is over.
 pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenario) -> Result<()> {
     write_records(&dir.join("record.jsonl"), records)?;
-    let title = format!("{}, {}, d_f {:.3}", summary.controller, scenario.name, summary.metrics.d_f);
+    let d_f = summary.score[Metric::TerminalDistance];
+    let title = format!("{}, {}, d_f {d_f:.3}", summary.controller, scenario.name);
     figures::path(dir, &title, records, scenario)?;
     let provenance = Provenance {
         controller: summary.controller,
@@ -134,13 +136,7 @@ pub fn write_records(path: &Path, records: &[Record]) -> Result<()> {
 #[must_use]
 pub fn table(flights: &[Summary]) -> String {
     type Cell = fn(&Summary) -> String;
-    let rows: [(&str, Cell); 16] = [
-        ("reached the goal", |f| if f.metrics.reached { "yes" } else { "no" }.into()),
-        ("d_f     terminal distance to the goal", |f| format!("{:.4}", f.metrics.d_f)),
-        ("E_comm  transmit energy", |f| format!("{:.0}", f.metrics.e_comm)),
-        ("E_ctrl  propulsion energy, J", |f| format!("{:.0}", f.metrics.e_ctrl)),
-        ("p_coll  largest collision probability", |f| format!("{:.4}", f.metrics.p_coll_max)),
-        ("T_out   intervals in outage", |f| format!("{} of {}", f.metrics.t_out, f.metrics.ticks)),
+    let rows: [(&str, Cell); 10] = [
         ("commands sent", |f| f.commands.sent.to_string()),
         ("  delivered in their interval", |f| f.commands.delivered.to_string()),
         ("  delayed", |f| f.commands.delayed.to_string()),
@@ -156,15 +152,21 @@ pub fn table(flights: &[Summary]) -> String {
     for flight in flights {
         text += &format!("{:>12}", flight.controller.to_string());
     }
-    for (name, cell) in rows {
+    let mut row = |name: &str, cell: &dyn Fn(&Summary) -> String| {
         text += &format!("\n{name:<40}");
-        for flight in flights {
-            text += &format!("{:>12}", cell(flight));
-        }
+        flights.iter().for_each(|flight| text += &format!("{:>12}", cell(flight)));
+    };
+    row("reached the goal", &|f| if f.score.is(FlightOutcome::Reached) { "yes" } else { "no" }.into());
+    for metric in Metric::ALL {
+        row(&format!("{:<8}{}", metric.symbol(), metric.title()), &|f| {
+            let value = metric.show(f.score[metric]);
+            if metric.is_count() { format!("{value} of {}", f.score.ticks) } else { value }
+        });
     }
+    rows.iter().for_each(|(name, cell)| row(name, cell));
     text.push('\n');
     for flight in flights.iter().filter(|flight| flight.taken_over) {
-        let ticks = flight.metrics.ticks;
+        let ticks = flight.score.ticks;
         text += &format!("{}: the operator took over after {ticks} intervals\n", flight.controller);
     }
     for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {

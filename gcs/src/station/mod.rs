@@ -14,7 +14,8 @@ use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
-use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::sim::metric::FlightScore;
+use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use crate::station::belief::Belief;
@@ -107,8 +108,8 @@ impl Station {
 
     /// The paper's metrics so far; `None` before the first interval has ended.
     #[must_use]
-    pub fn metrics(&self) -> Option<Metrics> {
-        Metrics::of(&self.records, &self.scenario)
+    pub fn score(&self) -> Option<FlightScore> {
+        FlightScore::of(&self.records, &self.scenario)
     }
 
     /// The flight's parameters.

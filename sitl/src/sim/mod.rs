@@ -3,6 +3,7 @@
 //! Whoever calls [`Sim::advance`] chooses the pace: a loop, "the command for this tick is here", or
 //! a timer. Equal seeds and equal commands give equal bytes.
 
+pub mod metric;
 pub mod record;
 
 use std::sync::Arc;

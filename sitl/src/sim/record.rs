@@ -1,4 +1,4 @@
-//! One line per control interval, and the paper's five metrics (Sec. IV-A6) computed from the lines.
+//! One line per control interval; [`super::metric`] scores a flight from its lines.
 //!
 //! A record is made from what crossed the link, so a flight in process and a flight over UDP are
 //! scored by the same function and, in lockstep, give the same bytes.
@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use crate::radio::message::{Command, Telemetry};
 use crate::scenario::Scenario;
 use crate::units::{Tick, TxPower};
-use crate::world::energy;
 
 /// Interval k of a flight: what was asked at its start, what had become of it at its end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -69,46 +68,5 @@ impl Record {
             second_obstacle: obstacles.second,
             p_coll: obstacles.collision_probability(r_next, scenario),
         }
-    }
-}
-
-/// The paper's five metrics (Sec. IV-A6) of one flight, and whether it ended at the goal.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Metrics {
-    /// Control intervals flown.
-    pub ticks: u64,
-    /// Whether the last position lies in the goal region.
-    pub reached: bool,
-    /// d_f = |r_H - r_g|, units.
-    pub d_f: f64,
-    /// E_comm = Σ a_p.
-    pub e_comm: f64,
-    /// E_ctrl = Σ P(|v|) Δt over v_1..v_H, joules.
-    pub e_ctrl: f64,
-    /// max_k p_coll,k.
-    pub p_coll_max: f64,
-    /// Intervals in outage (the paper's T_out is this times Δt).
-    pub t_out: u64,
-}
-
-impl Metrics {
-    /// Scores a flight; `None` if it has no record.
-    #[must_use]
-    pub fn of(records: &[Record], scenario: &Scenario) -> Option<Self> {
-        let last = records.last()?;
-        let d_f = (last.r_next - scenario.goal).norm();
-        let scale = &scenario.scale;
-        let watts = |r: &Record| {
-            energy::propulsion_power(r.v_next.norm() * scale.mps_per_speed(), &scenario.propulsion)
-        };
-        Some(Self {
-            ticks: records.len() as u64,
-            reached: d_f <= scenario.goal_radius,
-            d_f,
-            e_comm: records.iter().map(|r| r.power.level()).sum(),
-            e_ctrl: records.iter().map(watts).sum::<f64>() * scale.interval_s,
-            p_coll_max: records.iter().map(|r| r.p_coll).fold(0.0, f64::max),
-            t_out: records.iter().filter(|r| r.outage).count() as u64,
-        })
     }
 }

@@ -5,14 +5,15 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use crpl_sitl::Scenario;
-use crpl_sitl::sim::record::{Metrics, Record};
+use crpl_sitl::sim::metric::{self, FlightOutcome, FlightScore, Metric};
+use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Snr, TxPower};
 use rayon::prelude::*;
 
 use super::page::Page;
 use super::{Claim, colour, rgb};
 use crate::lab::plot::{self, Curve, Panel};
-use crate::lab::{Contender, below, figures};
+use crate::lab::{Contender, figures};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -37,11 +38,9 @@ pub struct Flight {
     /// One line an interval.
     pub records: Vec<Record>,
     /// Its score.
-    pub metrics: Metrics,
+    pub score: FlightScore,
     /// y where it first reached the obstacle's x.
     pub y_abreast: Option<f64>,
-    /// Whether that is below the obstacle.
-    pub below: bool,
     /// Intervals at high power.
     pub high: Vec<u64>,
     /// Intervals in which low power gives less than γ_min.
@@ -68,18 +67,16 @@ pub struct Flown {
 impl Flight {
     fn new(contender: &Contender, scenario: &Scenario) -> Result<Self> {
         let records = contender.records(0);
-        let metrics = Metrics::of(&records, scenario).context("no interval was flown")?;
+        let score = FlightScore::of(&records, scenario).context("no interval was flown")?;
         let snr = |r: &Record| Snr::from_db(f64::from(r.snr_db)).0;
         let least = scenario.channel.snr_min;
         let ticks = |of: &dyn Fn(&Record) -> bool| -> Vec<u64> {
             records.iter().filter(|r| of(r)).map(|r| r.tick.0).collect()
         };
-        let obstacle = scenario.obstacle.position;
         Ok(Self {
             controller: contender.controller,
-            metrics,
-            y_abreast: records.iter().map(|r| r.r_next).find(|r| r.x >= obstacle.x).map(|r| r.y),
-            below: below(&records, scenario),
+            score,
+            y_abreast: metric::abreast(&records, scenario),
             high: ticks(&|r| r.power == TxPower::High),
             dark: ticks(&|r| snr(r) / r.power.level() * TxPower::Low.level() < least),
             violations: ticks(&|r| snr(r) < least),
@@ -87,6 +84,10 @@ impl Flight {
             gusty_below: None,
             records,
         })
+    }
+
+    fn passes_below(&self) -> bool {
+        self.score.is(FlightOutcome::Below)
     }
 
     /// Whether the power was raised before low power fails, and nothing failed.
@@ -126,7 +127,7 @@ fn gusty_below(models: &Models, controller: Controller, scenario: &Scenario, fli
     let contender = Contender::new(models, controller, &scenario)?;
     let below: Vec<bool> = (first..first + flights)
         .into_par_iter()
-        .map(|seed| Ok(contender.fly(seed)?.below))
+        .map(|seed| Ok(contender.fly(seed)?.is(FlightOutcome::Below)))
         .collect::<Result<_>>()?;
     Ok(below.iter().filter(|b| **b).count() as f64 / flights.max(1) as f64)
 }
@@ -150,7 +151,8 @@ impl Flown {
             });
         }
         if let (Some(crpl), Some(ucc)) = (self.of(Controller::Crpl), self.of(Controller::Ucc)) {
-            let ratio = ucc.metrics.p_coll_max / crpl.metrics.p_coll_max;
+            let risk = Metric::CollisionProbability;
+            let ratio = ucc.score[risk] / crpl.score[risk];
             let (holds, paper) = if self.number == 1 {
                 ((0.9..=1.5).contains(&ratio), "the paper says about 1.2, and 0.9 to 1.5 counts as that")
             } else {
@@ -165,19 +167,17 @@ impl Flown {
     /// A row per controller.
     fn rows(&self) -> Vec<Vec<String>> {
         let row = |f: &Flight| {
-            vec![
+            let mut cells = vec![
                 f.controller.to_string(),
                 f.y_abreast.map_or("-".into(), |y| format!("{y:.3}")),
                 ranges(&f.high),
                 ranges(&f.dark),
                 ranges(&f.violations),
                 format!("{:.2}", f.least_snr),
-                format!("{:.4}", f.metrics.p_coll_max),
-                format!("{:.4}", f.metrics.d_f),
-                format!("{:.0}", f.metrics.e_comm),
-                format!("{:.0}", f.metrics.e_ctrl),
-                f.gusty_below.map_or("-".into(), |share| format!("{share:.3}")),
-            ]
+            ];
+            cells.extend(columns().map(|metric| metric.show(f.score[metric])));
+            cells.push(f.gusty_below.map_or("-".into(), |share| format!("{share:.3}")));
+            cells
         };
         self.flights.iter().map(row).collect()
     }
@@ -190,19 +190,20 @@ impl Flown {
             text += &format!("  {:<13} {}\n", claim.verdict(), claim.text);
         }
         let rows = self.rows();
-        let width = |n: usize| rows.iter().map(|r| r[n].len()).chain([HEAD[n].len()]).max().unwrap_or(0);
+        let head = head();
+        let width = |n: usize| rows.iter().chain([&head]).map(|r| r[n].len()).max().unwrap_or(0);
         let line = |cells: &[String]| {
             let cells = cells.iter().enumerate().map(|(n, cell)| format!("  {cell:>w$}", w = width(n)));
             cells.collect::<String>() + "\n"
         };
-        text += &line(&HEAD.map(String::from));
+        text += &line(&head);
         text + &rows.iter().map(|row| line(row)).collect::<String>()
     }
 
     /// The rows as comma-separated values.
     #[must_use]
     pub fn csv(&self) -> String {
-        let lines = std::iter::once(HEAD.map(String::from).to_vec()).chain(self.rows());
+        let lines = std::iter::once(head()).chain(self.rows());
         lines.map(|cells| cells.join(",") + "\n").collect()
     }
 
@@ -271,7 +272,7 @@ impl Flown {
                 .collect::<Vec<_>>(),
         );
         page.figures(&svgs);
-        page.table(&HEAD, &self.rows());
+        page.table(&head(), &self.rows());
         figures::paths(dir, &format!("scenario{number}_paths"), &titled, &self.scenario)?;
         plot::save(dir, &format!("scenario{number}_snr_risk"), &panels, 2)?;
         let path = dir.join(format!("scenario{number}.csv"));
@@ -279,20 +280,26 @@ impl Flown {
     }
 }
 
-/// Columns of the table.
-const HEAD: [&str; 11] = [
-    "controller",
-    "y abreast",
-    "high power at k",
-    "low power fails at k",
-    "SNR < γ_min at k",
-    "least SNR",
-    "p_coll max",
-    "d_f",
-    "E_comm",
-    "E_ctrl J",
-    "below in gusts",
-];
+/// Metrics in the table: risk stands beside the SNR, and where no packet is lost outages say nothing.
+fn columns() -> impl Iterator<Item = Metric> {
+    let risk = Metric::CollisionProbability;
+    let others = Metric::ALL.into_iter().filter(move |m| ![risk, Metric::Outages].contains(m));
+    std::iter::once(risk).chain(others)
+}
+
+/// Heads of the table's columns.
+fn head() -> Vec<String> {
+    let first = [
+        "controller",
+        "y abreast",
+        "high power at k",
+        "low power fails at k",
+        "SNR < γ_min at k",
+        "least SNR",
+    ];
+    let heads = first.into_iter().chain(columns().map(Metric::head)).chain(["below in gusts"]);
+    heads.map(String::from).collect()
+}
 
 fn timely(f: &Flight) -> Claim {
     let text = match (f.high.first(), f.dark.first()) {
@@ -335,12 +342,12 @@ fn late(f: &Flight) -> Claim {
 fn below_and_connected(f: &Flight) -> Claim {
     let gusty = f.gusty_below.unwrap_or(0.0);
     Claim {
-        holds: f.below && f.violations.is_empty() && gusty >= 0.99,
+        holds: f.passes_below() && f.violations.is_empty() && gusty >= 0.99,
         text: format!(
             "{} passes {} the obstacle (y = {:.3}), in gusts below it in {:.1} % of flights; SNR below γ_min in {} \
              intervals, high power in {}.",
             f.controller,
-            if f.below { "below" } else { "above" },
+            if f.passes_below() { "below" } else { "above" },
             f.y_abreast.unwrap_or(f64::NAN),
             100.0 * gusty,
             f.violations.len(),
@@ -351,11 +358,11 @@ fn below_and_connected(f: &Flight) -> Claim {
 
 fn through_the_shadow(f: &Flight) -> Claim {
     Claim {
-        holds: !f.below && f.raises_late(),
+        holds: !f.passes_below() && f.raises_late(),
         text: format!(
             "{} passes {} the obstacle (y = {:.3}); SNR below γ_min at k = {}, until power is raised at k = {}.",
             f.controller,
-            if f.below { "below" } else { "above" },
+            if f.passes_below() { "below" } else { "above" },
             f.y_abreast.unwrap_or(f64::NAN),
             ranges(&f.violations),
             f.high.first().map_or("never".into(), ToString::to_string)
@@ -397,6 +404,6 @@ mod tests {
             assert!(rcc.raises_late() && !rcc.raises_in_time(), "{:?}", rcc.violations);
             assert!(scenario.claims().iter().all(|c| c.holds), "{}", scenario.text());
         }
-        assert!(flown[1].flights[0].below && !flown[1].flights[1].below);
+        assert!(flown[1].flights[0].passes_below() && !flown[1].flights[1].passes_below());
     }
 }

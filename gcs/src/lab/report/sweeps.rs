@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use crpl_sitl::sim::metric::Metric;
 
 use super::page::Page;
 use super::{Claim, colour, rgb};
@@ -11,7 +12,7 @@ use crate::lab::plot::{self, Curve, Panel};
 use crate::lab::stats::Mean;
 use crate::lab::sweep::episode::Episode;
 use crate::lab::sweep::folder::Folder;
-use crate::lab::sweep::table::{self, Metric, Row};
+use crate::lab::sweep::table::{self, Row};
 use crate::station::pilot::Controller;
 
 /// What the paper says of one controller over CRPL at one point.
@@ -40,19 +41,19 @@ const fn said(
 
 /// Sec. IV-D of the paper, in numbers.
 const SAID: [Said; 13] = [
-    said("bandwidth", 2.5, Controller::Rcc, Metric::TerminalError, 3.0, 3.0),
-    said("bandwidth", 2.5, Controller::Ucc, Metric::TerminalError, 2.5, 2.5),
+    said("bandwidth", 2.5, Controller::Rcc, Metric::TerminalDistance, 3.0, 3.0),
+    said("bandwidth", 2.5, Controller::Ucc, Metric::TerminalDistance, 2.5, 2.5),
     said("bandwidth", 2.5, Controller::Rcc, Metric::TransmitEnergy, 1.7, 1.45),
     said("bandwidth", 2.5, Controller::Ucc, Metric::TransmitEnergy, 1.6, 1.4),
-    said("bandwidth", 2.5, Controller::Rcc, Metric::OutageTime, 18.0, 10.0),
-    said("bandwidth", 2.5, Controller::Ucc, Metric::OutageTime, 12.0, 8.0),
-    said("sigma", 0.01, Controller::Rcc, Metric::TerminalError, 1.35, 1.5),
-    said("sigma", 0.01, Controller::Ucc, Metric::TerminalError, 1.4, 1.4),
+    said("bandwidth", 2.5, Controller::Rcc, Metric::Outages, 18.0, 10.0),
+    said("bandwidth", 2.5, Controller::Ucc, Metric::Outages, 12.0, 8.0),
+    said("sigma", 0.01, Controller::Rcc, Metric::TerminalDistance, 1.35, 1.5),
+    said("sigma", 0.01, Controller::Ucc, Metric::TerminalDistance, 1.4, 1.4),
     said("sigma", 0.01, Controller::Rcc, Metric::TransmitEnergy, 1.4, 1.4),
     said("sigma", 0.01, Controller::Ucc, Metric::TransmitEnergy, 1.4, 1.4),
-    said("sigma", 0.01, Controller::Rcc, Metric::OutageTime, 7.0, 5.0),
-    said("sigma", 0.01, Controller::Ucc, Metric::OutageTime, 6.5, 4.5),
-    said("sigma", 0.01, Controller::Ucc, Metric::CollisionRisk, 3.0, 2.5),
+    said("sigma", 0.01, Controller::Rcc, Metric::Outages, 7.0, 5.0),
+    said("sigma", 0.01, Controller::Ucc, Metric::Outages, 6.5, 4.5),
+    said("sigma", 0.01, Controller::Ucc, Metric::CollisionProbability, 3.0, 2.5),
 ];
 
 /// Outage of CRPL itself, and of CRPL that knows the bandwidth, in intervals, at most: sweep, x, who, bound.
@@ -92,7 +93,7 @@ impl Finished {
             .iter()
             .filter(|said| said.sweep == plan.name)
             .filter_map(|said| {
-                let ratio = self.row(said.x, said.controller)?.ratio_to_crpl?.get(said.metric);
+                let ratio = self.row(said.x, said.controller)?.ratio_to_crpl?[said.metric];
                 Some(Claim {
                     holds: ratio.mean >= said.least,
                     text: format!(
@@ -112,13 +113,16 @@ impl Finished {
             })
             .collect();
         for (_, x, controller, most) in OUTAGE.iter().filter(|o| o.0 == plan.name) {
-            let Some(t_out) = self.row(*x, *controller).map(|row| row.means.t_out) else { continue };
-            let Mean { mean, ci, .. } = t_out;
+            let Some(row) = self.row(*x, *controller) else { continue };
+            let Mean { mean, ci, .. } = row.means[Metric::Outages];
             claims.push(Claim {
                 holds: mean <= *most,
                 text: format!(
-                    "t_out at {} = {x}: {controller} {mean:.2} intervals [{:.2}, {:.2}]; at most {most} is asked for.",
-                    plan.axis, ci[0], ci[1]
+                    "{} at {} = {x}: {controller} {mean:.2} intervals [{:.2}, {:.2}]; at most {most} is asked for.",
+                    Metric::Outages.key(),
+                    plan.axis,
+                    ci[0],
+                    ci[1]
                 ),
             });
         }
@@ -137,7 +141,7 @@ impl Finished {
             let rows: Vec<(f64, _)> = plan
                 .points
                 .iter()
-                .filter_map(|x| Some((*x, self.row(*x, *controller)?.means.get(metric))))
+                .filter_map(|x| Some((*x, self.row(*x, *controller)?.means[metric])))
                 .collect();
             Curve {
                 name: controller.to_string(),
@@ -150,19 +154,15 @@ impl Finished {
         let marks =
             SAID.iter().filter(|said| said.sweep == plan.name && said.metric == metric).filter_map(|said| {
                 let n = plan.controllers.iter().position(|c| *c == said.controller)?;
-                let crpl = self.row(said.x, Controller::Crpl)?.means.get(metric).mean;
-                Some((
-                    colour(n),
-                    said.x,
-                    said.paper * crpl.max(if metric == Metric::OutageTime { 1.0 } else { 0.0 }),
-                ))
+                let crpl = self.row(said.x, Controller::Crpl)?.means[metric].mean;
+                Some((colour(n), said.x, said.paper * crpl.max(metric.floor())))
             });
         Panel {
-            title: metric.title().into(),
+            title: format!("{}, {}", metric.symbol(), metric.title()),
             x: plan.axis.clone(),
             curves: plan.controllers.iter().enumerate().map(curve).collect(),
             marks: marks.collect(),
-            legend: metric == Metric::TerminalError,
+            legend: metric == Metric::ALL[0],
             ..Panel::default()
         }
     }
@@ -205,15 +205,17 @@ impl Finished {
     }
 
     fn tables(&self, page: &mut Page) {
-        let head: Vec<&str> = ["x", "controller"].into_iter().chain(Metric::ALL.map(Metric::key)).collect();
+        let head = ["x", "controller"].into_iter().chain(Metric::ALL.map(Metric::key)).map(String::from);
+        let head: Vec<String> = head.collect();
         let start = |row: &Row| vec![row.x.to_string(), row.controller.to_string()];
         let means = self.rows.iter().map(|row| {
-            let cells = Metric::ALL.map(|m| m.cell(&row.means.get(m)));
-            let shares = [row.reached, row.below].map(|share| format!("{share:.3}"));
+            let cells = Metric::ALL.map(|m| table::mean_cell(m, &row.means[m]));
+            let shares = table::SHOWN.map(|outcome| format!("{:.3}", row.share(outcome)));
             start(row).into_iter().chain(cells).chain(shares).collect::<Vec<_>>()
         });
         page.text("Mean ± half of its 95 % interval (standard deviation of a flight); share that reached the goal, and that passed below the obstacle.");
-        let wide: Vec<&str> = head.iter().copied().chain(["reached", "below"]).collect();
+        let shares = table::SHOWN.map(|outcome| outcome.key().to_owned());
+        let wide: Vec<String> = head.iter().cloned().chain(shares).collect();
         page.table(&wide, &means.collect::<Vec<_>>());
         let ratios: Vec<Vec<String>> = self
             .rows
@@ -221,7 +223,7 @@ impl Finished {
             .filter(|row| row.controller != Controller::Crpl)
             .filter_map(|row| {
                 let ratios = row.ratio_to_crpl?;
-                let cells = Metric::ALL.map(|m| table::ratio_cell(&ratios.get(m)));
+                let cells = Metric::ALL.map(|m| table::ratio_cell(&ratios[m]));
                 Some(start(row).into_iter().chain(cells).collect())
             })
             .collect();

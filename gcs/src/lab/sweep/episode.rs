@@ -1,12 +1,13 @@
-//! One flight of a sweep as a line of a table: flown, written, read.
+//! One flight of a sweep as a row of a table: flown, written, read.
 
 use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 
+use crate::lab::Contender;
 use crate::lab::parquet::{Column, Values};
-use crate::lab::{Contender, Scored};
 use crate::station::pilot::Controller;
 
 /// One flight's score.
@@ -18,133 +19,102 @@ pub struct Episode {
     pub controller: Controller,
     /// Seed of the disturbance.
     pub seed: u64,
-    /// What came of it.
-    pub scored: Outcome,
-}
-
-/// The figures of a flight.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Outcome {
-    /// d_f, units.
-    pub d_f: f64,
-    /// E_comm.
-    pub e_comm: f64,
-    /// E_ctrl, J.
-    pub e_ctrl: f64,
-    /// p_coll^max.
-    pub p_coll_max: f64,
-    /// Intervals in outage.
-    pub t_out: u64,
-    /// Whether it ended in the goal region.
-    pub reached: bool,
-    /// Whether it passed below the obstacle.
-    pub below: bool,
-    /// Whether it ended at a wall.
-    pub at_wall: bool,
-}
-
-impl From<&Scored> for Outcome {
-    fn from(scored: &Scored) -> Self {
-        let m = &scored.metrics;
-        Self {
-            d_f: m.d_f,
-            e_comm: m.e_comm,
-            e_ctrl: m.e_ctrl,
-            p_coll_max: m.p_coll_max,
-            t_out: m.t_out,
-            reached: m.reached,
-            below: scored.below,
-            at_wall: scored.at_wall,
-        }
-    }
+    /// Its metrics.
+    pub metrics: PerMetric<f64>,
+    /// Its outcomes, in the order of [`FlightOutcome::ALL`].
+    pub outcomes: [bool; FlightOutcome::ALL.len()],
 }
 
 impl Episode {
-    /// The table's head.
-    pub const HEAD: &str = "x,controller,seed,d_f,e_comm,e_ctrl,p_coll_max,t_out,reached,below,at_wall";
-
-    /// Flies it: a pure function of contender, point and seed.
-    pub fn fly(contender: &Contender, x: f64, seed: u64) -> Result<Self> {
-        let scored = contender.fly(seed)?;
-        Ok(Self { x, controller: contender.controller, seed, scored: Outcome::from(&scored) })
+    /// Names of the columns.
+    pub fn head() -> impl Iterator<Item = &'static str> {
+        let metrics = Metric::ALL.into_iter().map(Metric::key);
+        let outcomes = FlightOutcome::ALL.into_iter().map(FlightOutcome::key);
+        ["x", "controller", "seed"].into_iter().chain(metrics).chain(outcomes)
     }
 
-    /// One line without its end. Numbers are written so that they read back as the same number.
+    /// Flies it: a pure function of contender, point and seed.
+    ///
+    /// # Errors
+    /// If no interval was flown.
+    pub fn fly(contender: &Contender, x: f64, seed: u64) -> Result<Self> {
+        let score = contender.fly(seed)?;
+        let controller = contender.controller;
+        Ok(Self { x, controller, seed, metrics: score.metrics, outcomes: score.outcomes })
+    }
+
+    /// One line with its end.
     #[must_use]
-    pub fn line(&self) -> String {
-        let o = &self.scored;
-        format!(
-            "{},{},{},{},{},{},{},{},{},{},{}",
-            self.x,
-            self.controller,
-            self.seed,
-            o.d_f,
-            o.e_comm,
-            o.e_ctrl,
-            o.p_coll_max,
-            o.t_out,
-            o.reached,
-            o.below,
-            o.at_wall
-        )
+    pub fn line(&self) -> Vec<u8> {
+        let mut cells = vec![self.x.to_string(), self.controller.to_string(), self.seed.to_string()];
+        // The shortest text that reads back as the same number; whole numbers without a point.
+        cells.extend(self.metrics.iter().map(|(_, value)| value.to_string()));
+        cells.extend(self.outcomes.iter().map(bool::to_string));
+        line(cells)
     }
 
     /// The table's columns.
     #[must_use]
     pub fn columns<'a>(episodes: &[Self], names: &'a [String]) -> Vec<Column<'a>> {
-        let reals = |of: fn(&Outcome) -> f64| Values::Reals(episodes.iter().map(|e| of(&e.scored)).collect());
-        let booleans =
-            |of: fn(&Outcome) -> bool| Values::Booleans(episodes.iter().map(|e| of(&e.scored)).collect());
-        let column = |name, values| Column { name, values };
-        vec![
-            column("x", Values::Reals(episodes.iter().map(|e| e.x).collect())),
-            column("controller", Values::Texts(names.iter().map(String::as_str).collect())),
-            column("seed", Values::Integers(episodes.iter().map(|e| e.seed as i64).collect())),
-            column("d_f", reals(|o| o.d_f)),
-            column("e_comm", reals(|o| o.e_comm)),
-            column("e_ctrl", reals(|o| o.e_ctrl)),
-            column("p_coll_max", reals(|o| o.p_coll_max)),
-            column("t_out", Values::Integers(episodes.iter().map(|e| e.scored.t_out as i64).collect())),
-            column("reached", booleans(|o| o.reached)),
-            column("below", booleans(|o| o.below)),
-            column("at_wall", booleans(|o| o.at_wall)),
-        ]
+        let integers =
+            |of: &dyn Fn(&Self) -> u64| Values::Integers(episodes.iter().map(|e| of(e) as i64).collect());
+        let reals = |of: &dyn Fn(&Self) -> f64| Values::Reals(episodes.iter().map(of).collect());
+        let controllers = Values::Texts(names.iter().map(String::as_str).collect());
+        let metrics = Metric::ALL.map(|m| match m.is_count() {
+            true => integers(&|e| e.metrics[m] as u64),
+            false => reals(&|e| e.metrics[m]),
+        });
+        let outcomes = FlightOutcome::ALL
+            .map(|outcome| Values::Booleans(episodes.iter().map(|e| e.outcomes[outcome as usize]).collect()));
+        let values =
+            [reals(&|e| e.x), controllers, integers(&|e| e.seed)].into_iter().chain(metrics).chain(outcomes);
+        Self::head().zip(values).map(|(name, values)| Column { name, values }).collect()
     }
-}
 
-impl FromStr for Episode {
-    type Err = anyhow::Error;
+    /// The episodes of a whole table.
+    ///
+    /// # Errors
+    /// If the head is not [`Episode::head`], or a line is no episode: the error names the line.
+    pub fn read(table: &[u8]) -> Result<Vec<Self>> {
+        let mut lines = std::str::from_utf8(table)?.lines();
+        if !lines.next().is_some_and(|head| head.split(',').eq(Self::head())) {
+            bail!("line 1 is not the head of a table of episodes");
+        }
+        lines
+            .enumerate()
+            .map(|(n, line)| Self::parse(line).with_context(|| format!("line {}", n + 2)))
+            .collect()
+    }
 
-    fn from_str(line: &str) -> Result<Self> {
-        let cells: Vec<&str> = line.split(',').collect();
-        let [x, controller, seed, d_f, e_comm, e_ctrl, p_coll_max, t_out, reached, below, at_wall] =
-            cells[..]
-        else {
-            bail!("{} columns instead of 11", cells.len());
-        };
+    fn parse(line: &str) -> Result<Self> {
+        let (cells, columns) = (line.split(',').count(), Self::head().count());
+        if cells != columns {
+            bail!("{cells} columns instead of {columns}");
+        }
+        let mut cells = Self::head().zip(line.split(','));
+        let (x, controller, seed) = (cell(cells.next())?, cells.next(), cell(cells.next())?);
+        let (_, controller) = controller.unwrap_or_default();
         let controller = Controller::from_str(controller, false)
             .ok()
             .with_context(|| format!("no controller is called {controller:?}"))?;
-        Ok(Self {
-            x: cell("x", x)?,
-            controller,
-            seed: cell("seed", seed)?,
-            scored: Outcome {
-                d_f: cell("d_f", d_f)?,
-                e_comm: cell("e_comm", e_comm)?,
-                e_ctrl: cell("e_ctrl", e_ctrl)?,
-                p_coll_max: cell("p_coll_max", p_coll_max)?,
-                t_out: cell("t_out", t_out)?,
-                reached: cell("reached", reached)?,
-                below: cell("below", below)?,
-                at_wall: cell("at_wall", at_wall)?,
-            },
-        })
+        let metrics = Metric::ALL.iter().map(|_| cell(cells.next())).collect::<Result<Vec<f64>>>()?;
+        let mut outcomes = [false; FlightOutcome::ALL.len()];
+        for outcome in &mut outcomes {
+            *outcome = cell(cells.next())?;
+        }
+        Ok(Self { x, controller, seed, metrics: PerMetric::from_fn(|m| metrics[m as usize]), outcomes })
     }
 }
 
-fn cell<T: FromStr>(name: &str, text: &str) -> Result<T> {
+fn cell<T: FromStr>(cell: Option<(&str, &str)>) -> Result<T> {
+    let (name, text) = cell.unwrap_or_default();
     text.parse().ok().with_context(|| format!("{name} = {text:?}"))
+}
+
+/// One line of comma-separated values, with its end.
+pub fn line<T: Into<String>>(cells: impl IntoIterator<Item = T>) -> Vec<u8> {
+    let cells: Vec<String> = cells.into_iter().map(Into::into).collect();
+    (cells.join(",") + "\n").into_bytes()
 }
 
 #[cfg(test)]
@@ -152,25 +122,32 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn read(line: &str) -> Result<Vec<Episode>> {
+        Episode::read(&[&super::line(Episode::head()), line.as_bytes()].concat())
+    }
+
     #[test]
     fn a_line_that_is_none_says_why() {
-        let error = |line: &str| line.parse::<Episode>().unwrap_err().to_string();
-        assert_eq!(error("2.5,rcc,1"), "3 columns instead of 11");
-        assert_eq!(error("2.5,nobody,1,0,0,0,0,0,true,true,true"), "no controller is called \"nobody\"");
-        assert_eq!(error("2.5,rcc,1,0,x,0,0,0,true,true,true"), "e_comm = \"x\"");
+        let error = |line: &str| crpl_sitl::program::cli::one_line(&read(line).unwrap_err());
+        assert_eq!(error("2.5,rcc,1"), "line 2: 3 columns instead of 11");
+        assert_eq!(
+            error("2.5,nobody,1,0,0,0,0,0,true,true,true"),
+            "line 2: no controller is called \"nobody\""
+        );
+        assert_eq!(error("2.5,rcc,1,0,x,0,0,0,true,true,true"), "line 2: e_comm = \"x\"");
     }
 
     proptest! {
         #[test]
         fn a_line_reads_back_as_the_same_bits(
             x in proptest::num::f64::NORMAL, d_f in 0.0..2.0f64, e_ctrl in 0.0..1e5f64,
-            p_coll_max in 0.0..1.0f64, seed: u64, t_out in 0..101u64, reached: bool,
+            p_coll_max in 0.0..1.0f64, seed: u64, t_out in 0..101u32, reached: bool,
         ) {
-            let scored = Outcome {
-                d_f, e_comm: 148.0, e_ctrl, p_coll_max, t_out, reached, below: !reached, at_wall: false,
-            };
-            let episode = Episode { x, controller: Controller::Ucc, seed, scored };
-            prop_assert_eq!(episode.line().parse::<Episode>().unwrap(), episode);
+            let metrics = [d_f, 148.0, e_ctrl, p_coll_max, t_out.into()].into();
+            let outcomes = [reached, !reached, false];
+            let episode = Episode { x, controller: Controller::Ucc, seed, metrics, outcomes };
+            let line = String::from_utf8(episode.line()).unwrap();
+            prop_assert_eq!(read(&line).unwrap(), [episode]);
         }
     }
 }

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 
-use super::episode::Episode;
-use super::journal::{self, Journal};
+use super::episode::{self, Episode};
+use super::journal::Journal;
 use super::plan::{Plan, Shard};
 use super::table;
 use crate::lab::parquet;
@@ -96,12 +96,12 @@ impl Folder {
     /// All episodes, if the sweep is finished.
     pub fn finished(&self) -> Result<Option<Vec<Episode>>> {
         let path = self.path("episodes.csv");
-        let text = match std::fs::read_to_string(&path) {
-            Ok(text) => text,
+        let table = match std::fs::read(&path) {
+            Ok(table) => table,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error).with_context(|| format!("reading {}", path.display())),
         };
-        let episodes = journal::read(&text, &path)?;
+        let episodes = Episode::read(&table).with_context(|| path.display().to_string())?;
         self.check_belong(&episodes, &path)?;
         let episodes = self.in_order(episodes);
         episodes.map(Some).with_context(|| format!("{} is not complete", path.display()))
@@ -116,8 +116,8 @@ impl Folder {
         let sheet = self.sheet()?;
         parquet::write(&mut bytes, &Episode::columns(&episodes, &names), &[("sweep.toml", &sheet)])?;
         self.write("episodes.parquet", &bytes)?;
-        let lines = std::iter::once(Episode::HEAD.to_owned()).chain(episodes.iter().map(Episode::line));
-        self.write("episodes.csv", (lines.collect::<Vec<_>>().join("\n") + "\n").as_bytes())?;
+        let lines = std::iter::once(episode::line(Episode::head())).chain(episodes.iter().map(Episode::line));
+        self.write("episodes.csv", &lines.flatten().collect::<Vec<u8>>())?;
         Ok(episodes)
     }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 
-use super::episode::Episode;
+use super::episode::{self, Episode};
 
 /// How often the lock is tried, every 50 ms.
 const PATIENCE: u32 = 20;
@@ -38,22 +38,19 @@ impl Journal {
         let whole = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |last| last + 1);
         file.set_len(whole as u64).with_context(|| format!("cutting the torn end off {name}"))?;
         file.seek(SeekFrom::End(0)).with_context(|| format!("reading {name}"))?;
-        let text = std::str::from_utf8(&bytes[..whole]).with_context(|| format!("reading {name}"))?;
-        let episodes = if text.is_empty() {
-            file.write_all(format!("{}\n", Episode::HEAD).as_bytes())
-                .with_context(|| format!("writing {name}"))?;
+        let episodes = if whole == 0 {
+            file.write_all(&episode::line(Episode::head())).with_context(|| format!("writing {name}"))?;
             Vec::new()
         } else {
-            read(text, path)?
+            Episode::read(&bytes[..whole]).with_context(|| name.to_string())?
         };
         Ok((Self { path: path.into(), file: Mutex::new(file) }, episodes))
     }
 
     /// Writes an episode down, in one write.
     pub fn add(&self, episode: &Episode) -> Result<()> {
-        let line = episode.line() + "\n";
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        file.write_all(line.as_bytes()).with_context(|| format!("writing {}", self.path.display()))
+        file.write_all(&episode.line()).with_context(|| format!("writing {}", self.path.display()))
     }
 
     /// Removes the journal, once its episodes stand elsewhere.
@@ -76,36 +73,15 @@ fn lock(file: &File, path: &Path) -> Result<()> {
     bail!("{}: another process is writing it", path.display())
 }
 
-/// The episodes of a table. Errors name the file and the line.
-pub fn read(text: &str, path: &Path) -> Result<Vec<Episode>> {
-    let mut lines = text.lines();
-    if lines.next() != Some(Episode::HEAD) {
-        bail!("{}: line 1 is not the head of a table of episodes", path.display());
-    }
-    lines
-        .enumerate()
-        .map(|(n, line)| line.parse().with_context(|| format!("{}: line {}", path.display(), n + 2)))
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::sweep::episode::Outcome;
     use crate::station::pilot::Controller;
 
     fn episode(seed: u64) -> Episode {
-        let scored = Outcome {
-            d_f: 0.1 / (seed + 1) as f64,
-            e_comm: 100.0,
-            e_ctrl: 9000.0,
-            p_coll_max: 0.03,
-            t_out: seed,
-            reached: true,
-            below: true,
-            at_wall: false,
-        };
-        Episode { x: 2.5, controller: Controller::Rcc, seed, scored }
+        let metrics = [0.1 / (seed + 1) as f64, 100.0, 9000.0, 0.03, seed as f64].into();
+        let outcomes = [true, true, false];
+        Episode { x: 2.5, controller: Controller::Rcc, seed, metrics, outcomes }
     }
 
     #[test]
@@ -139,10 +115,12 @@ mod tests {
     fn a_line_that_is_none_is_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("journal.csv");
-        std::fs::write(&path, format!("{}\n{}\nnonsense\n", Episode::HEAD, episode(0).line())).unwrap();
-        let error = crpl_sitl::program::cli::one_line(&Journal::open(&path).unwrap_err());
-        assert!(error.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{error}");
-        std::fs::write(&path, "a,b\n").unwrap();
-        assert!(Journal::open(&path).unwrap_err().to_string().contains("line 1"));
+        let error = |table: &[u8]| {
+            std::fs::write(&path, table).unwrap();
+            crpl_sitl::program::cli::one_line(&Journal::open(&path).unwrap_err())
+        };
+        let said = error(&[&episode::line(Episode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
+        assert!(said.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{said}");
+        assert!(error(b"a,b\n").ends_with("line 1 is not the head of a table of episodes"));
     }
 }

@@ -3,119 +3,16 @@
 
 use std::fmt::Write;
 
+use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
-use super::episode::{Episode, Outcome};
+use super::episode::Episode;
 use super::plan::Plan;
 use crate::lab::stats::{Mean, Resamples};
 use crate::station::pilot::Controller;
 
-/// The paper's five metrics (Sec. IV-A6), in the order of the panels of Figs. 6 and 7.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Metric {
-    /// d_f
-    TerminalError,
-    /// E_comm
-    TransmitEnergy,
-    /// E_ctrl
-    PropulsionEnergy,
-    /// p_coll^max
-    CollisionRisk,
-    /// T_out
-    OutageTime,
-}
-
-impl Metric {
-    /// All of them.
-    pub const ALL: [Self; 5] = [
-        Self::TerminalError,
-        Self::TransmitEnergy,
-        Self::PropulsionEnergy,
-        Self::CollisionRisk,
-        Self::OutageTime,
-    ];
-
-    /// Its key in tables.
-    #[must_use]
-    pub fn key(self) -> &'static str {
-        ["d_f", "e_comm", "e_ctrl", "p_coll_max", "t_out"][self as usize]
-    }
-
-    /// Its name with its unit, for people.
-    #[must_use]
-    pub fn title(self) -> &'static str {
-        [
-            "d_f, terminal error",
-            "E_comm, transmit energy",
-            "E_ctrl, propulsion energy, J",
-            "p_coll, largest collision probability",
-            "T_out, control intervals in outage",
-        ][self as usize]
-    }
-
-    /// Its value in one flight.
-    #[must_use]
-    pub fn of(self, o: &Outcome) -> f64 {
-        match self {
-            Self::TerminalError => o.d_f,
-            Self::TransmitEnergy => o.e_comm,
-            Self::PropulsionEnergy => o.e_ctrl,
-            Self::CollisionRisk => o.p_coll_max,
-            Self::OutageTime => o.t_out as f64,
-        }
-    }
-
-    /// Least denominator of a ratio: CRPL may have no outage at all, so one interval there.
-    #[must_use]
-    pub fn floor(self) -> f64 {
-        if self == Self::OutageTime { 1.0 } else { f64::MIN_POSITIVE }
-    }
-
-    /// Mean ± half of its interval (standard deviation), with the decimals that are worth printing.
-    #[must_use]
-    pub fn cell(self, mean: &Mean) -> String {
-        let d = [4, 1, 0, 4, 2][self as usize];
-        format!("{:.d$} ±{:.d$} ({:.d$})", mean.mean, mean.half_width(), mean.sd)
-    }
-}
-
-/// One number per metric.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Five<T> {
-    /// d_f, units.
-    pub d_f: T,
-    /// E_comm.
-    pub e_comm: T,
-    /// E_ctrl, J.
-    pub e_ctrl: T,
-    /// p_coll^max.
-    pub p_coll_max: T,
-    /// T_out, control intervals.
-    pub t_out: T,
-}
-
-impl<T: Copy> Five<T> {
-    fn from_fn(mut of: impl FnMut(Metric) -> Option<T>) -> Option<Self> {
-        Some(Self {
-            d_f: of(Metric::TerminalError)?,
-            e_comm: of(Metric::TransmitEnergy)?,
-            e_ctrl: of(Metric::PropulsionEnergy)?,
-            p_coll_max: of(Metric::CollisionRisk)?,
-            t_out: of(Metric::OutageTime)?,
-        })
-    }
-
-    /// The number of one metric.
-    pub fn get(&self, metric: Metric) -> T {
-        match metric {
-            Metric::TerminalError => self.d_f,
-            Metric::TransmitEnergy => self.e_comm,
-            Metric::PropulsionEnergy => self.e_ctrl,
-            Metric::CollisionRisk => self.p_coll_max,
-            Metric::OutageTime => self.t_out,
-        }
-    }
-}
+/// The outcomes in tables for people.
+pub const SHOWN: [FlightOutcome; 2] = [FlightOutcome::Reached, FlightOutcome::Below];
 
 /// One controller at one point.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -130,18 +27,19 @@ pub struct Row {
     pub episodes: u64,
     /// Means.
     #[serde(flatten)]
-    pub means: Five<Mean>,
+    pub means: PerMetric<Mean>,
     /// Ratios of means to CRPL's on the same seeds; `None` if CRPL did not fly.
-    pub ratio_to_crpl: Option<Five<Mean>>,
-    /// Share of flights that ended in the goal region.
+    pub ratio_to_crpl: Option<PerMetric<Mean>>,
     #[serde(skip)]
-    pub reached: f64,
-    /// Share of flights that passed below the obstacle.
-    #[serde(skip)]
-    pub below: f64,
-    /// Share of flights that ended at a wall.
-    #[serde(skip)]
-    pub at_wall: f64,
+    shares: [f64; FlightOutcome::ALL.len()],
+}
+
+impl Row {
+    /// Share of flights with this outcome.
+    #[must_use]
+    pub fn share(&self, outcome: FlightOutcome) -> f64 {
+        self.shares[outcome as usize]
+    }
 }
 
 /// All rows of a sweep, points in their order, controllers in theirs. `episodes` must be in the order
@@ -152,13 +50,12 @@ pub fn rows(plan: &Plan, episodes: &[Episode]) -> Vec<Row> {
     let resamples = Resamples::of(flights);
     let mut rows = Vec::new();
     for x in &plan.points {
-        let of = |controller: Controller| -> Vec<Outcome> {
-            let here = episodes.iter().filter(|e| e.x == *x && e.controller == controller);
-            here.map(|e| e.scored).collect()
+        let of = |controller: Controller| -> Vec<&Episode> {
+            episodes.iter().filter(|e| e.x == *x && e.controller == controller).collect()
         };
         let crpl = plan.controllers.contains(&Controller::Crpl).then(|| of(Controller::Crpl));
         for controller in &plan.controllers {
-            rows.extend(row(plan, *x, *controller, &of(*controller), crpl.as_deref(), &resamples));
+            rows.push(row(plan, *x, *controller, &of(*controller), crpl.as_deref(), &resamples));
         }
     }
     rows
@@ -168,16 +65,13 @@ fn row(
     plan: &Plan,
     x: f64,
     controller: Controller,
-    flights: &[Outcome],
-    crpl: Option<&[Outcome]>,
+    flights: &[&Episode],
+    crpl: Option<&[&Episode]>,
     resamples: &Resamples,
-) -> Option<Row> {
-    let values = |of: Metric, flights: &[Outcome]| flights.iter().map(|o| of.of(o)).collect::<Vec<f64>>();
-    let share = |of: fn(&Outcome) -> bool| {
-        flights.iter().filter(|o| of(o)).count() as f64 / flights.len().max(1) as f64
-    };
+) -> Row {
+    let values = |of: Metric, flights: &[&Episode]| flights.iter().map(|e| e.metrics[of]).collect::<Vec<_>>();
     let ratio_to_crpl = crpl.and_then(|crpl| {
-        Five::from_fn(|m| {
+        PerMetric::try_from_fn(|m| {
             if controller == Controller::Crpl {
                 // Exactly 1, also where its T_out is below the floor.
                 return Some(Mean::of(&[1.0]));
@@ -185,34 +79,36 @@ fn row(
             resamples.ratio(&values(m, flights), &values(m, crpl), m.floor())
         })
     });
-    Some(Row {
+    Row {
         sweep: plan.name.clone(),
         x,
         controller,
         episodes: flights.len() as u64,
-        means: Five::from_fn(|m| Some(Mean::of(&values(m, flights))))?,
+        means: PerMetric::from_fn(|m| Mean::of(&values(m, flights))),
         ratio_to_crpl,
-        reached: share(|o| o.reached),
-        below: share(|o| o.below),
-        at_wall: share(|o| o.at_wall),
-    })
+        shares: FlightOutcome::ALL.map(|outcome| {
+            let count = flights.iter().filter(|e| e.outcomes[outcome as usize]).count();
+            count as f64 / flights.len().max(1) as f64
+        }),
+    }
 }
 
 /// The rows as comma-separated values, all digits.
 #[must_use]
 pub fn csv(rows: &[Row]) -> String {
-    let mut text = String::from("sweep,x,controller,episodes,reached,below,at_wall");
+    let mut text = String::from("sweep,x,controller,episodes");
+    FlightOutcome::ALL.iter().for_each(|outcome| text.extend([",", outcome.key()]));
     for m in Metric::ALL.map(Metric::key) {
         let _ = write!(text, ",{m}_mean,{m}_sd,{m}_lo,{m}_hi,{m}_ratio,{m}_ratio_lo,{m}_ratio_hi");
     }
     text.push('\n');
     for row in rows {
-        let Row { sweep, x, controller, episodes, reached, below, at_wall, .. } = row;
-        let _ = write!(text, "{sweep},{x},{controller},{episodes},{reached},{below},{at_wall}");
-        for m in Metric::ALL {
-            let Mean { mean, ci, sd } = row.means.get(m);
+        let Row { sweep, x, controller, episodes, .. } = row;
+        let _ = write!(text, "{sweep},{x},{controller},{episodes}");
+        row.shares.iter().for_each(|share| text += &format!(",{share}"));
+        for (m, Mean { mean, ci, sd }) in row.means.iter() {
             let _ = write!(text, ",{mean},{sd},{},{}", ci[0], ci[1]);
-            match row.ratio_to_crpl.map(|ratios| ratios.get(m)) {
+            match row.ratio_to_crpl.map(|ratios| ratios[m]) {
                 Some(Mean { mean, ci, .. }) => {
                     let _ = write!(text, ",{mean},{},{}", ci[0], ci[1]);
                 }
@@ -222,6 +118,18 @@ pub fn csv(rows: &[Row]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// Mean ± half of its interval (standard deviation), with the decimals that are worth printing.
+#[must_use]
+pub fn mean_cell(metric: Metric, mean: &Mean) -> String {
+    let d = metric.decimals();
+    format!("{:.d$} ±{:.d$} ({:.d$})", mean.mean, mean.half_width(), mean.sd)
+}
+
+/// Width of the column of [`mean_cell`].
+fn mean_width(metric: Metric) -> usize {
+    (18 + 2 * metric.decimals()).max(20)
 }
 
 /// A ratio with its interval.
@@ -241,34 +149,34 @@ pub fn text(plan: &Plan, rows: &[Row]) -> String {
         rows.first().map_or(0, |r| r.episodes),
         plan.first_seed
     );
-    let head = |out: &mut String, widths: [usize; 5], tail: &str| {
+    let head = |out: &mut String, width: fn(Metric) -> usize, tail: &str| {
         let _ = write!(out, "{:>8}  {:<18}", "x", "controller");
-        for (m, width) in Metric::ALL.iter().zip(widths) {
-            let _ = write!(out, "{:>width$}", m.key());
+        for m in Metric::ALL {
+            let _ = write!(out, "{:>width$}", m.key(), width = width(m));
         }
         let _ = writeln!(out, "{tail}");
     };
-    head(&mut out, [26, 20, 20, 26, 22], "   reached   below");
+    let [reached, below] = SHOWN.map(FlightOutcome::key);
+    head(&mut out, mean_width, &format!("{reached:>10}{below:>8}"));
     for row in rows {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
-        for (m, width) in Metric::ALL.iter().zip([26, 20, 20, 26, 22]) {
-            let cell = m.cell(&row.means.get(*m));
-            let _ = write!(out, "{cell:>width$}");
+        for (m, mean) in row.means.iter() {
+            let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
-        let _ = writeln!(out, "{:>10.3}{:>8.3}", row.reached, row.below);
+        let [reached, below] = SHOWN.map(|outcome| row.share(outcome));
+        let _ = writeln!(out, "{reached:>10.3}{below:>8.3}");
     }
     let others = || rows.iter().filter(|r| r.controller != Controller::Crpl && r.ratio_to_crpl.is_some());
     if others().next().is_some() {
         out.push_str(
             "\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n",
         );
-        head(&mut out, [22; 5], "");
+        head(&mut out, |_| 22, "");
     }
     for row in others() {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
-        for ratio in Metric::ALL.iter().filter_map(|m| row.ratio_to_crpl.map(|five| five.get(*m))) {
-            let cell = ratio_cell(&ratio);
-            let _ = write!(out, "{cell:>22}");
+        for (_, ratio) in row.ratio_to_crpl.iter().flat_map(PerMetric::iter) {
+            let _ = write!(out, "{:>22}", ratio_cell(ratio));
         }
         out.push('\n');
     }

@@ -1,0 +1,358 @@
+//! The one list of metrics: how a flight is scored, and how each score is named and printed.
+//!
+//! Tables, CSV, Parquet, JSON, figures and reports iterate over [`Metric::ALL`]. To add a metric, add
+//! a variant, its place in `ALL`, its row in `about` and its formula in [`Metric::of`]; nothing else
+//! names them one by one.
+
+use std::ops::Index;
+
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+use super::record::Record;
+use crate::scenario::Scenario;
+use crate::world::energy;
+
+/// A number that scores a whole flight: the paper's five of Sec. IV-A6, in the order of the panels of Figs. 6 and 7.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Metric {
+    /// d_f = |r_H - r_g|, paper units.
+    TerminalDistance,
+    /// E_comm = Σ a_p, in the paper's power levels.
+    TransmitEnergy,
+    /// E_ctrl = Σ P(|v|) Δt over v_1..v_H, joules.
+    PropulsionEnergy,
+    /// max_k p_coll,k over k = 1..H, in [0, 1].
+    CollisionProbability,
+    /// Intervals in outage (the paper's T_out is this times Δt).
+    Outages,
+}
+
+/// How a metric is named and printed.
+struct About {
+    key: &'static str,
+    symbol: &'static str,
+    title: &'static str,
+    unit: &'static str,
+    head: &'static str,
+    flight_decimals: usize,
+    decimals: usize,
+    is_count: bool,
+    floor: f64,
+}
+
+const ABOUT: About = About {
+    key: "",
+    symbol: "",
+    title: "",
+    unit: "",
+    head: "",
+    flight_decimals: 4,
+    decimals: 4,
+    is_count: false,
+    floor: f64::MIN_POSITIVE,
+};
+
+impl Metric {
+    /// All of them, in the order of every table and figure.
+    pub const ALL: [Self; 5] = [
+        Self::TerminalDistance,
+        Self::TransmitEnergy,
+        Self::PropulsionEnergy,
+        Self::CollisionProbability,
+        Self::Outages,
+    ];
+
+    /// Scores a flight. Of no record it is what an empty sum or maximum is, and NaN for d_f.
+    #[must_use]
+    pub fn of(self, records: &[Record], scenario: &Scenario) -> f64 {
+        match self {
+            Self::TerminalDistance => {
+                records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm())
+            }
+            Self::TransmitEnergy => records.iter().map(|r| r.power.level()).sum(),
+            Self::PropulsionEnergy => {
+                let scale = &scenario.scale;
+                let speeds = records.iter().map(|r| r.v_next.norm() * scale.mps_per_speed());
+                speeds.map(|v| energy::propulsion_power(v, &scenario.propulsion)).sum::<f64>()
+                    * scale.interval_s
+            }
+            Self::CollisionProbability => records.iter().map(|r| r.p_coll).fold(0.0, f64::max),
+            Self::Outages => records.iter().filter(|r| r.outage).count() as f64,
+        }
+    }
+
+    fn about(self) -> About {
+        match self {
+            Self::TerminalDistance => About {
+                key: "d_f",
+                symbol: "d_f",
+                title: "terminal distance to the goal",
+                head: "d_f",
+                ..ABOUT
+            },
+            Self::TransmitEnergy => About {
+                key: "e_comm",
+                symbol: "E_comm",
+                title: "transmit energy",
+                head: "E_comm",
+                flight_decimals: 0,
+                decimals: 1,
+                ..ABOUT
+            },
+            Self::PropulsionEnergy => About {
+                key: "e_ctrl",
+                symbol: "E_ctrl",
+                title: "propulsion energy",
+                unit: "J",
+                head: "E_ctrl J",
+                flight_decimals: 0,
+                decimals: 0,
+                ..ABOUT
+            },
+            Self::CollisionProbability => About {
+                key: "p_coll_max",
+                symbol: "p_coll",
+                title: "largest collision probability",
+                head: "p_coll max",
+                ..ABOUT
+            },
+            Self::Outages => About {
+                key: "t_out",
+                symbol: "T_out",
+                title: "intervals in outage",
+                head: "T_out",
+                flight_decimals: 0,
+                decimals: 2,
+                is_count: true,
+                floor: 1.0,
+                ..ABOUT
+            },
+        }
+    }
+
+    /// Its key in CSV, Parquet, JSON and tables of sweeps.
+    #[must_use]
+    pub fn key(self) -> &'static str {
+        self.about().key
+    }
+
+    /// The paper's symbol for it.
+    #[must_use]
+    pub fn symbol(self) -> &'static str {
+        self.about().symbol
+    }
+
+    /// Its name with its unit, without its symbol.
+    #[must_use]
+    pub fn title(self) -> String {
+        let About { title, unit, .. } = self.about();
+        if unit.is_empty() { title.into() } else { format!("{title}, {unit}") }
+    }
+
+    /// Its unit; empty for paper units, power levels, probabilities and counts.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        self.about().unit
+    }
+
+    /// Head of its column where symbols are: symbol and unit.
+    #[must_use]
+    pub fn head(self) -> &'static str {
+        self.about().head
+    }
+
+    /// Decimals worth printing of a mean over flights.
+    #[must_use]
+    pub fn decimals(self) -> usize {
+        self.about().decimals
+    }
+
+    /// Whether it counts control intervals: a whole number in every flight.
+    #[must_use]
+    pub fn is_count(self) -> bool {
+        self.about().is_count
+    }
+
+    /// Least denominator of a ratio: CRPL may have no outage at all, so one interval there.
+    #[must_use]
+    pub fn floor(self) -> f64 {
+        self.about().floor
+    }
+
+    /// Its value in one flight, for people.
+    #[must_use]
+    pub fn show(self, value: f64) -> String {
+        format!("{value:.*}", self.about().flight_decimals)
+    }
+}
+
+/// One value per metric.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PerMetric<T>([T; Metric::ALL.len()]);
+
+impl<T> PerMetric<T> {
+    /// `of` each metric.
+    pub fn from_fn(of: impl FnMut(Metric) -> T) -> Self {
+        Self(Metric::ALL.map(of))
+    }
+
+    /// `of` each metric; `None` if it is of one.
+    pub fn try_from_fn(of: impl FnMut(Metric) -> Option<T>) -> Option<Self> {
+        let values = Metric::ALL.into_iter().map(of).collect::<Option<Vec<T>>>()?;
+        values.try_into().ok().map(Self)
+    }
+
+    /// Metrics and values, in the order of [`Metric::ALL`].
+    pub fn iter(&self) -> impl Iterator<Item = (Metric, &T)> {
+        Metric::ALL.into_iter().zip(&self.0)
+    }
+}
+
+impl<T> From<[T; Metric::ALL.len()]> for PerMetric<T> {
+    fn from(values: [T; Metric::ALL.len()]) -> Self {
+        Self(values)
+    }
+}
+
+impl<T> Index<Metric> for PerMetric<T> {
+    type Output = T;
+
+    fn index(&self, metric: Metric) -> &T {
+        // The variants are in the order of `ALL`; a test holds them to it.
+        &self.0[metric as usize]
+    }
+}
+
+/// A map from keys to values.
+impl<T: Serialize> Serialize for PerMetric<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.iter().map(|(metric, value)| (metric.key(), value)))
+    }
+}
+
+/// A question about a whole flight that is answered by yes or no.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FlightOutcome {
+    /// Whether it ended in the goal region.
+    Reached,
+    /// Whether it passed below the obstacle: at smaller y where it first reached the x of the
+    /// obstacle's first position.
+    Below,
+    /// Whether it ended within [`AT_WALL`] of a wall.
+    AtWall,
+}
+
+/// How near to a wall a flight must end to count as ended there, paper units: the UAV's radius.
+pub const AT_WALL: f64 = 0.02;
+
+impl FlightOutcome {
+    /// All of them, in the order of every table.
+    pub const ALL: [Self; 3] = [Self::Reached, Self::Below, Self::AtWall];
+
+    /// Its key in CSV, Parquet and JSON.
+    #[must_use]
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Reached => "reached",
+            Self::Below => "below",
+            Self::AtWall => "at_wall",
+        }
+    }
+
+    /// The answer; no for a flight without a record.
+    #[must_use]
+    pub fn of(self, records: &[Record], scenario: &Scenario) -> bool {
+        let end = records.last().map(|last| last.r_next);
+        match self {
+            Self::Reached => end.is_some_and(|r| (r - scenario.goal).norm() <= scenario.goal_radius),
+            Self::Below => {
+                let obstacle = scenario.obstacle.position;
+                abreast(records, scenario).is_some_and(|y| y < obstacle.y)
+            }
+            Self::AtWall => end.is_some_and(|r| r.iter().any(|x| x.min(1.0 - x) < AT_WALL)),
+        }
+    }
+}
+
+/// The y at which a flight first reached the x of the obstacle's first position.
+#[must_use]
+pub fn abreast(records: &[Record], scenario: &Scenario) -> Option<f64> {
+    let x = scenario.obstacle.position.x;
+    records.iter().map(|r| r.r_next).find(|r| r.x >= x).map(|r| r.y)
+}
+
+/// All that one flight is scored by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlightScore {
+    /// Control intervals flown.
+    pub ticks: u64,
+    /// The metrics.
+    pub metrics: PerMetric<f64>,
+    /// The outcomes, in the order of [`FlightOutcome::ALL`].
+    pub outcomes: [bool; FlightOutcome::ALL.len()],
+}
+
+impl FlightScore {
+    /// Scores a flight; `None` if it has no record.
+    #[must_use]
+    pub fn of(records: &[Record], scenario: &Scenario) -> Option<Self> {
+        (!records.is_empty()).then(|| Self {
+            ticks: records.len() as u64,
+            metrics: PerMetric::from_fn(|metric| metric.of(records, scenario)),
+            outcomes: FlightOutcome::ALL.map(|outcome| outcome.of(records, scenario)),
+        })
+    }
+
+    /// One of the outcomes.
+    #[must_use]
+    pub fn is(&self, outcome: FlightOutcome) -> bool {
+        self.outcomes[outcome as usize]
+    }
+}
+
+impl Index<Metric> for FlightScore {
+    type Output = f64;
+
+    fn index(&self, metric: Metric) -> &f64 {
+        &self.metrics[metric]
+    }
+}
+
+/// Ticks, whether it reached the goal, and each metric by its key; counts are integers.
+impl Serialize for FlightScore {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("ticks", &self.ticks)?;
+        map.serialize_entry(FlightOutcome::Reached.key(), &self.is(FlightOutcome::Reached))?;
+        for (metric, value) in self.metrics.iter() {
+            if metric.is_count() {
+                map.serialize_entry(metric.key(), &(*value as u64))?;
+            } else {
+                map.serialize_entry(metric.key(), value)?;
+            }
+        }
+        map.end()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metrics_and_outcomes_are_in_the_order_of_their_lists() {
+        for (n, metric) in Metric::ALL.into_iter().enumerate() {
+            assert_eq!(metric as usize, n, "{}", metric.key());
+            assert_eq!(Metric::ALL.iter().filter(|m| m.key() == metric.key()).count(), 1);
+        }
+        for (n, outcome) in FlightOutcome::ALL.into_iter().enumerate() {
+            assert_eq!(outcome as usize, n, "{}", outcome.key());
+        }
+    }
+
+    #[test]
+    fn a_flight_without_a_record_has_no_score() {
+        assert_eq!(FlightScore::of(&[], &Scenario::default()), None);
+    }
+}
