@@ -3,7 +3,6 @@
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark")]
 
-#[path = "../../sitl/benches/rate/mod.rs"]
 mod rate;
 
 use std::hint::black_box;

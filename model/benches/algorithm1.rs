@@ -5,7 +5,7 @@
 
 #[path = "../tests/oracle/mod.rs"]
 mod oracle;
-#[path = "../../sitl/benches/rate/mod.rs"]
+
 mod rate;
 
 use std::hint::black_box;

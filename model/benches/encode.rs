@@ -1,6 +1,5 @@
 //! One picture to its latents: the flight path, and burn for comparison.
 
-#[path = "../../sitl/benches/rate/mod.rs"]
 mod rate;
 
 use std::hint::black_box;

@@ -15,7 +15,21 @@ fn agrees(script: &str) {
 /// whose red disc lies where the vehicle says that it is.
 #[test]
 fn pymavlink_flies_north_and_sees_the_uav() {
-    agrees("fly_north.py");
+    agrees("radio_and_camera.py");
+}
+
+/// The example does what it prints, and the frame that it saves is a PNG.
+#[test]
+fn the_pymavlink_example_flies_north() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("frame.png");
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let args = [address.to_string().into(), frame.clone().into_os_string()];
+    let said = python::script("../../examples/fly_north.py", &args).unwrap().good().unwrap();
+    for step in ["at north 250.0 m", "pushed: north 2", "braked: north 2", "at power 4", "frame in"] {
+        assert!(said.contains(step), "{said}");
+    }
+    assert!(fs::read(frame).unwrap().starts_with(b"\x89PNG"));
 }
 
 /// Every parameter of both components, read and set; what is no value, or no parameter, changes nothing.

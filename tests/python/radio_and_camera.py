@@ -1,6 +1,6 @@
-"""Flies `sitl` as any MAVLink program would: listens, pushes north, turns the radio, looks at a picture.
+"""Flies `sitl` as any MAVLink program would: listens, pushes north, sets the radio, checks a picture.
 
-    fly_north.py HOST:PORT
+    radio_and_camera.py HOST:PORT
 """
 
 import math
