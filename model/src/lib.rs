@@ -28,3 +28,10 @@ pub mod planning;
 pub mod predictor;
 pub mod training;
 pub mod world_model;
+
+/// Git revision of the sources from which this was compiled, with `-dirty` if one of them differed from
+/// it; `unknown` where git did not tell. Files that are not compiled, such as documents, do not count.
+#[must_use]
+pub const fn revision() -> &'static str {
+    env!("CRPL_REVISION")
+}

@@ -119,7 +119,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         &Sheet {
             scenario: &scenario,
             seed: args.seed,
-            revision: crpl_sitl::program::revision(),
+            revision: crate::revision(),
             config: &config,
             outcome: &outcome,
             flown: &flown,

@@ -87,7 +87,7 @@ impl Summary {
 struct Provenance<'a> {
     controller: Controller,
     seed: Option<u64>,
-    revision: String,
+    revision: &'static str,
     version: &'static str,
     command: Vec<String>,
     summary: &'a Summary,
@@ -111,7 +111,7 @@ pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenari
     let provenance = Provenance {
         controller: summary.controller,
         seed: summary.seed,
-        revision: crpl_sitl::program::revision(),
+        revision: crate::revision(),
         version: env!("CARGO_PKG_VERSION"),
         command: std::env::args().collect(),
         summary,

@@ -58,7 +58,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         "config": config,
         "world_model": checkpoint::fingerprint(&model)?,
         "checkpoint": args.checkpoint,
-        "revision": crpl_sitl::program::revision(),
+        "revision": crate::revision(),
         "command": std::env::args().collect::<Vec<_>>(),
         "intervals": "95 %: Wilson for shares, order statistics for quantiles, bootstrap for heads",
     });

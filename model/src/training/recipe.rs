@@ -108,7 +108,7 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// The whole recipe. Writes the checkpoint and returns it with the alarms' figures.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), TrainError> {
     config.check()?;
-    let revision = crpl_sitl::program::revision();
+    let revision = crate::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let identity = serde_json::json!({ "config": config, "backend": run.backend, "data": run.data });

@@ -9,8 +9,5 @@
 
 pub mod cli;
 pub mod fleet;
-mod revision;
 pub mod shell;
 pub mod timing;
-
-pub use revision::revision;

@@ -122,7 +122,7 @@ pub fn run(args: &Report) -> Result<()> {
     page.text(&format!(
         "Made by gcs {} at revision {}.",
         env!("CARGO_PKG_VERSION"),
-        crpl_sitl::program::revision()
+        crate::revision()
     ));
     let path = out.join("index.html");
     std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))?;

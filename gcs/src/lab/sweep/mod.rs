@@ -29,6 +29,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
+use crpl_model::planning::policy::SHIPPED;
 use crpl_model::world_model::checkpoint;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
@@ -103,13 +104,10 @@ pub fn run(args: &Sweep) -> Result<()> {
 /// The plan of a file, with the trained things that will fly it.
 pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<Plan> {
     let policy = match &models.policy {
-        Some(path) => {
-            let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
-            plan::fingerprint(&bytes)
-        }
-        None => "shipped".into(),
+        Some(path) => std::fs::read(path).with_context(|| format!("reading {}", path.display()))?,
+        None => SHIPPED.map(|(_, bytes)| bytes).concat(),
     };
-    file.resolve(flags, checkpoint::fingerprint(&models.world)?, policy)
+    file.resolve(flags, checkpoint::fingerprint(&models.world)?, plan::fingerprint(&policy))
 }
 
 fn default_folder(name: &str, shard: Shard) -> PathBuf {

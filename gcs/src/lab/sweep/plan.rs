@@ -77,10 +77,10 @@ pub struct Plan {
     pub first_seed: u64,
     /// Fingerprint of the world model that encodes the pictures.
     pub world_model: String,
-    /// `shipped`, or the fingerprint of the file given by --policy.
+    /// Fingerprint of the policies: the file given by --policy, or those that ship.
     pub policy: String,
-    /// Source that flew.
-    pub revision: String,
+    /// Name of the code that flies ([`crate::sources`]).
+    pub code: String,
     /// The whole scenario; `axis` takes the points' values.
     pub scenario: Scenario,
 }
@@ -109,7 +109,7 @@ impl SweepFile {
             first_seed: flags.first_seed.unwrap_or(self.first_seed),
             world_model,
             policy,
-            revision: crpl_sitl::program::revision(),
+            code: crate::sources().into(),
             scenario,
         };
         plan.check()?;
