@@ -37,8 +37,7 @@ fn sources() -> Vec<PathBuf> {
 
 /// The revision of which `cargo package` made this package.
 fn of_package() -> Option<String> {
-    let text: String =
-        std::fs::read_to_string(".cargo_vcs_info.json").ok()?.split_whitespace().collect();
+    let text: String = std::fs::read_to_string(".cargo_vcs_info.json").ok()?.split_whitespace().collect();
     let revision = text.split("\"sha1\":\"").nth(1)?.split('"').next()?;
     Some(mark(revision, text.contains("\"dirty\":true")))
 }

@@ -7,7 +7,7 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
-//! | [`numeric`] | inner loops, small networks, optimisers | what they are for |
+//! | [`numeric`] | inner loops, small networks, optimisers, statistics | what they are for |
 //! | [`encoder`] | frame to latents: plain Rust for flights, a burn module for training | link, policies |
 //! | [`predictor`] | linear, MLP and LSTM predictors; the observer | frames, positions |
 //! | [`heads`] | collision probability and channel gain: labels, networks | frames |

@@ -1,20 +1,19 @@
 //! Many flights in process on consecutive seeds, every picture rendered and encoded, controllers
 //! paired by the same gusts.
 
-use std::io::IsTerminal;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::progress;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::lab::stats::Mean;
 use crate::lab::{Contender, demo};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
+use crpl_model::numeric::statistics::Mean;
 
 /// Flags of `gcs episodes`.
 #[derive(Debug, clap::Args)]
@@ -71,13 +70,7 @@ pub fn run(args: &Episodes) -> Result<()> {
         None => demo::scenario()?,
     };
     let models = Models::load(args.checkpoint.as_deref(), args.policy.clone())?;
-    let bar = ProgressBar::new(args.episodes * args.controllers.len() as u64);
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-    }
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} flights {elapsed}, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = progress::bar("flights", args.episodes * args.controllers.len() as u64);
     for controller in &args.controllers {
         let contender = Contender::new(&models, *controller, &scenario)?;
         let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)

@@ -3,11 +3,15 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`cli`] | flags to a running vehicle |
+//! | [`files`] | files that are whole or absent |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
+//! | [`progress`] | progress bars |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
 pub mod cli;
+pub mod files;
 pub mod fleet;
+pub mod progress;
 pub mod shell;
 pub mod timing;

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use crpl_sitl::program::files::write_whole;
 use serde::{Deserialize, Serialize};
 
 use super::episode::{self, Episode};
@@ -176,9 +177,8 @@ impl Folder {
 
     /// Writes a whole file or none: a reader never sees half of one.
     fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let (path, new) = (self.path(name), self.path(&format!(".{name}.new")));
-        std::fs::write(&new, bytes).with_context(|| format!("writing {}", new.display()))?;
-        std::fs::rename(&new, &path).with_context(|| format!("writing {}", path.display()))
+        let path = self.path(name);
+        write_whole(&path, bytes).with_context(|| format!("writing {}", path.display()))
     }
 
     fn part(&self) -> PathBuf {

@@ -23,7 +23,6 @@ pub mod merge;
 pub mod plan;
 pub mod table;
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,7 +30,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, bail};
 use crpl_model::planning::policy::SHIPPED;
 use crpl_model::world_model::checkpoint;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use crpl_sitl::program::files::fingerprint;
+use crpl_sitl::program::progress;
 use rayon::prelude::*;
 
 use crate::lab::Contender;
@@ -107,7 +107,7 @@ pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<Pl
         Some(path) => std::fs::read(path).with_context(|| format!("reading {}", path.display()))?,
         None => SHIPPED.map(|(_, bytes)| bytes).concat(),
     };
-    file.resolve(flags, checkpoint::fingerprint(&models.world)?, plan::fingerprint(&policy))
+    file.resolve(flags, checkpoint::fingerprint(&models.world)?, fingerprint(&policy))
 }
 
 fn default_folder(name: &str, shard: Shard) -> PathBuf {
@@ -156,7 +156,7 @@ fn fly(
         done.iter().map(|e| (e.x.to_bits(), e.controller, e.seed)).collect();
     units.retain(|((x, contender), seed)| !is_done.contains(&(x.to_bits(), contender.controller, *seed)));
 
-    let bar = progress_bar(total as u64, &plan.name);
+    let bar = progress::bar(plan.name.clone(), total as u64);
     bar.inc((total - units.len()) as u64);
     bar.reset_eta();
     let flown: Result<Vec<Option<Episode>>> = units
@@ -182,19 +182,6 @@ fn fly(
         );
     }
     Ok(flown)
-}
-
-fn progress_bar(length: u64, name: &str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    let template =
-        format!("{name} {{bar:30}} {{pos}}/{{len}} flights, {{per_sec}}, {{elapsed}}, {{eta}} left");
-    if let Ok(style) = ProgressStyle::with_template(&template) {
-        bar.set_style(style);
-    }
-    bar
 }
 
 /// Becomes true at the first Ctrl-C: flights in the air are finished, no new one starts.

@@ -9,6 +9,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files::fingerprint;
 use serde::{Deserialize, Serialize};
 
 use crate::station::pilot::Controller;
@@ -196,15 +197,6 @@ fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<
 
 fn repeated<T: PartialEq + Copy>(items: &[T]) -> Option<T> {
     items.iter().enumerate().find(|(n, item)| items[..*n].contains(item)).map(|(_, item)| *item)
-}
-
-/// FNV-1a, 64 bit, in hexadecimal: names bytes, guards against nobody.
-#[must_use]
-pub fn fingerprint(bytes: &[u8]) -> String {
-    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-    });
-    format!("{hash:016x}")
 }
 
 /// Share I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every share has all
