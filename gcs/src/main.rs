@@ -226,7 +226,7 @@ fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
 }
 
 fn main() -> ExitCode {
-    terminal::main(|args: Args| match args.command {
+    terminal::main(crpl_gcs::revision(), |args: Args| match args.command {
         Command::Demo(args) => terminal::block_on(demo(args)),
         Command::Fly(args) => terminal::block_on(fly(args)),
         Command::Bridge(args) => terminal::block_on(bridge::run(args)),

@@ -97,7 +97,7 @@ struct NetworksOf {
 }
 
 fn main() -> ExitCode {
-    terminal::main(|args: Args| match args.command {
+    terminal::main(crpl_model::revision(), |args: Args| match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),

@@ -31,6 +31,12 @@ pub mod units;
 pub mod vehicle;
 pub mod world;
 
-pub use program::revision;
 pub use scenario::Scenario;
 pub use sim::Sim;
+
+/// Git revision of the sources from which this was compiled, with `-dirty` if one of them differed from
+/// it; `unknown` where git did not tell. Files that are not compiled, such as documents, do not count.
+#[must_use]
+pub const fn revision() -> &'static str {
+    env!("CRPL_REVISION")
+}

@@ -16,11 +16,12 @@ use clap::{Command, Parser};
 use super::renamed;
 use crate::link::endpoint::Endpoint;
 
-/// A whole program: parses the flags, starts the log, does `work`, and tells an error.
-pub fn main<P: Parser>(work: impl FnOnce(P) -> Result<()>) -> ExitCode {
+/// A whole program: parses the flags, starts the log, does `work`, and tells an error. `revision` is that of
+/// the program, for `--version`.
+pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> ExitCode {
     let args = match P::try_parse() {
         Ok(args) => args,
-        Err(error) => return usage(&P::command(), &error, std::env::args().skip(1)),
+        Err(error) => return usage(&P::command(), revision, &error, std::env::args().skip(1)),
     };
     log();
     match work(args) {
@@ -53,9 +54,14 @@ fn log() {
 }
 
 /// Prints help or version as clap does, the version with the revision; a wrong flag in one line.
-fn usage(program: &Command, error: &clap::Error, args: impl Iterator<Item = String>) -> ExitCode {
+fn usage(
+    program: &Command,
+    revision: &str,
+    error: &clap::Error,
+    args: impl Iterator<Item = String>,
+) -> ExitCode {
     if error.kind() == ErrorKind::DisplayVersion {
-        say(&format!("{} ({})", error.to_string().trim_end(), super::revision()));
+        say(&format!("{} ({})", error.to_string().trim_end(), revision));
         return ExitCode::SUCCESS;
     }
     if !error.use_stderr() {
