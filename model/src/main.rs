@@ -33,7 +33,7 @@ enum Command {
     /// Train with one ingredient changed, row by row, and print what it costs.
     Ablate(ablation_command::Ablate),
     /// Print where encoders break: errors on harder cameras and in harder states.
-    Hard(ablation_command::Hard),
+    Robustness(ablation_command::Robustness),
     /// Measure a world model on fresh pictures and draw the paper's Fig. 3.
     Evaluate(evaluation::command::Evaluate),
 }
@@ -106,7 +106,7 @@ fn main() -> ExitCode {
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
         Command::Ablate(args) => ablation_command::ablate(&args),
-        Command::Hard(args) => ablation_command::hard(&args),
+        Command::Robustness(args) => ablation_command::robustness(&args),
         Command::Evaluate(args) => evaluation::command::run(&args),
     })
 }
@@ -135,7 +135,7 @@ fn run(args: &Train) -> anyhow::Result<()> {
         resume: args.resume,
         stopwatch: Stopwatch::default(),
     };
-    let (model, figures) = recipe::train(&config, &run)?;
+    let (model, diagnostics) = recipe::train(&config, &run)?;
     let (wall_s, cpu_s) = run.stopwatch.seconds();
     if args.json {
         let out = serde_json::json!({
@@ -143,14 +143,14 @@ fn run(args: &Train) -> anyhow::Result<()> {
             "seed": config.seed,
             "backend": args.backend,
             "metrics": model.card.metrics,
-            "alarms": figures,
+            "alarms": diagnostics,
             "quick": args.quick,
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         });
         println!("{out:#}");
     } else {
-        print!("{}{}", model.card.metrics.table(), figures.table());
+        print!("{}{}", model.card.metrics.table(), diagnostics.table());
         println!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
         println!("checkpoint in {}", args.out.display());
         if args.quick {
@@ -171,7 +171,8 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     let stopwatch = Stopwatch::default();
     let trained = recipe::networks(&config, &model)?;
     predictors::publish(&trained, &args.out)?;
-    for (name, curve) in ["MLP", "LSTM"].iter().zip(&trained.curves) {
+    for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
+        let name = network.kind().name();
         let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
         println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));

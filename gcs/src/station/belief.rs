@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use crpl_model::predictor::observer::Observer;
+use crpl_model::predictor::observer::LatentObserver;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::camera::Frame;
 use crpl_sitl::radio::Fates;
@@ -35,9 +35,9 @@ pub struct Latents {
 /// Latent history and ledger.
 #[derive(Debug, Clone)]
 pub struct Belief {
-    controllable: Observer,
-    uncontrollable: Observer,
-    second: Option<Observer>,
+    controllable: LatentObserver,
+    uncontrollable: LatentObserver,
+    second: Option<LatentObserver>,
     /// Report that came with the newest picture.
     newest: Option<Heard>,
     latents: Latents,
@@ -51,9 +51,9 @@ impl Belief {
     pub fn new(world: &WorldModel, config: BeliefConfig) -> Self {
         let [c, u] = world.motions(config.limits.v_max, config.gust_std);
         Self {
-            controllable: Observer::new(c, config.window),
-            second: (config.obstacles > 1).then(|| Observer::new(u, config.window)),
-            uncontrollable: Observer::new(u, config.window),
+            controllable: LatentObserver::new(c, config.window),
+            second: (config.obstacles > 1).then(|| LatentObserver::new(u.clone(), config.window)),
+            uncontrollable: LatentObserver::new(u, config.window),
             newest: None,
             latents: Latents::default(),
             ledger: Ledger::new(config.rule),
@@ -77,7 +77,7 @@ impl Belief {
         self.uncontrollable.observe(u, &still);
         let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
         if let (Some(c), Some(u)) = (self.controllable.estimate(), self.uncontrollable.estimate()) {
-            let second = self.second.as_ref().and_then(Observer::estimate);
+            let second = self.second.as_ref().and_then(LatentObserver::estimate);
             self.latents = Latents {
                 y_c: narrow(c.y),
                 y_c_before: narrow(c.before()),
