@@ -1,7 +1,7 @@
-//! What the rest computes with: inner loops, small networks, optimisers, statistics.
+//! What the rest computes with: inner loops, small networks, the optimiser, statistics, tensors in files.
 
 pub mod adam;
-pub mod adamw;
 pub mod kernel;
 pub mod mlp;
 pub mod statistics;
+pub mod tensors;
