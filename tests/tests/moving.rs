@@ -123,11 +123,11 @@ fn two_obstacles_over_udp_are_those_in_process() {
 /// World, radio, risk, wire, records and figures hold any number; what pictures tell apart is CRPL's limit.
 #[test]
 fn a_third_obstacle_is_a_toml() {
-    let text = std::fs::read_to_string(config("two_obstacles.toml")).unwrap();
-    let third = "[[obstacle]]\nposition = [0.75, 0.3]\nradius = 0.05\nvelocity = [0.0, 0.01]\n";
+    let text = "[[obstacle]]\n[[obstacle]]\nposition = [0.3, 0.75]\nradius = 0.05\n\
+                [[obstacle]]\nposition = [0.75, 0.6]\nradius = 0.06\nvelocity = [0.0, 0.002]\n";
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("three.toml");
-    std::fs::write(&file, format!("{text}{third}")).unwrap();
+    std::fs::write(&file, text).unwrap();
     for controller in [Controller::Apc, Controller::Rcc] {
         over_udp_as_in_process(&file, controller, 3);
     }
