@@ -14,6 +14,8 @@ use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavMessage};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
 use crpl_sitl::program::shell::Shell;
 use crpl_sitl::program::timing::Histogram;
@@ -158,7 +160,7 @@ fn round_trip() {
         'answer: loop {
             let length = socket.recv(&mut buffer).expect("an answer");
             for packet in decoder.datagram(&buffer[..length]) {
-                if packet.is::<dialect::TIMESYNC_DATA>() && packet.fields().u64(8) == k as u64 {
+                if Timesync::of(&packet).is_some_and(|sync| sync.ts1 == k as i64) {
                     break 'answer;
                 }
             }

@@ -22,12 +22,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
-    COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult,
-    MavSeverity, MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult, MavSeverity, MavState,
+    MavType, STATUSTEXT_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandLong;
+use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
 
 /// Whom it copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -258,23 +261,20 @@ impl Autopilot {
     /// A datagram has come.
     pub fn datagram(&mut self, bytes: &[u8]) {
         for packet in self.decoder.datagram(bytes) {
-            if packet.is::<COMMAND_LONG_DATA>() {
-                self.command(&packet);
-            } else if packet.is::<SET_POSITION_TARGET_LOCAL_NED_DATA>() {
-                self.target(&packet);
+            if let Some(ask) = CommandLong::of(&packet) {
+                self.command(&ask, (packet.system, packet.component));
+            } else if let Some(target) = SetPositionTargetLocalNed::of(&packet) {
+                self.target(&target);
             }
         }
     }
 
-    fn command(&mut self, packet: &Packet) {
-        let fields = packet.fields();
-        let params: [f32; 7] = std::array::from_fn(|k| fields.f32(4 * k));
-        let (command, target) = (fields.u16(28), (fields.u8(30), fields.u8(31)));
-        let asker = (packet.system, packet.component);
-        if target.0 > 1 {
+    fn command(&mut self, ask: &CommandLong, asker: (u8, u8)) {
+        let CommandLong { params, command, target, .. } = *ask;
+        if target.system > 1 {
             return;
         }
-        if let Some(radio) = self.radio.as_mut().filter(|_| target.1 == 68) {
+        if let Some(radio) = self.radio.as_mut().filter(|_| target.component == 68) {
             self.powers.push(params[0]);
             return radio.push_ack(&mut self.out, command, MavResult::MAV_RESULT_ACCEPTED, asker);
         }
@@ -344,12 +344,10 @@ impl Autopilot {
         MavResult::MAV_RESULT_ACCEPTED
     }
 
-    fn target(&mut self, packet: &Packet) {
-        let fields = packet.fields();
-        let (mask, frame) = (fields.u16(48), fields.u8(52));
-        let vector = |at| -> [f64; 3] { std::array::from_fn(|k| f64::from(fields.f32(at + 4 * k))) };
-        let (position, accel) = (vector(4), vector(28));
-        if fields.u8(50) > 1 || frame != 1 {
+    fn target(&mut self, asked: &SetPositionTargetLocalNed) {
+        let mask = asked.type_mask;
+        let (position, accel) = (asked.position.map(f64::from), asked.acceleration.map(f64::from));
+        if asked.target.system > 1 || asked.coordinate_frame != 1 {
             return self.say(MavSeverity::MAV_SEVERITY_WARNING, "SET_POSITION_TARGET_LOCAL_NED invalid");
         }
         let (has_position, has_accel) = (mask & 0b111 == 0, mask & 0b1_1100_0000 == 0);

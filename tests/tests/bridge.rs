@@ -8,10 +8,13 @@ use std::path::Path;
 
 use crpl_sitl::link::decoder::{Decoder, Packet};
 use crpl_sitl::link::dialect::{
-    COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, POSITION_TARGET_LOCAL_NED_DATA,
+    COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavMessage, POSITION_TARGET_LOCAL_NED_DATA,
     PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandAck;
+use crpl_sitl::link::messages::telemetry::PositionTargetLocalNed;
 use tests::program::{self, PATIENCE, Program};
 use tests::python;
 
@@ -143,7 +146,7 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
     )
     .unwrap();
     // Watches: the vehicle flies what CRPL sends, so the stamp of its echo moves on.
-    let stamp = |packet: &Packet| packet.fields().u32(0);
+    let stamp = |packet: &Packet| PositionTargetLocalNed::of(packet).unwrap().time_boot_ms;
     let first = stamp(&operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>));
     operator.hear(|p| p.is::<POSITION_TARGET_LOCAL_NED_DATA>() && stamp(p) > first + 400);
     operator.say(|encoder, out| {
@@ -160,10 +163,11 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
         ..Default::default()
     };
     operator.say(|encoder, out| encoder.push(out, &mode));
-    let ack = operator.hear(|p| p.is::<COMMAND_ACK_DATA>() && p.fields().u16(0) == 176);
-    assert_eq!(ack.fields().u8(2), 0, "accepted");
+    let ack = operator.hear(|p| CommandAck::of(p).is_some_and(|ack| ack.command == 176));
+    assert_eq!(CommandAck::of(&ack).unwrap().result, 0, "accepted");
     let said = operator.hear(|p| p.is::<STATUSTEXT_DATA>() && p.system == 255);
-    assert!(said.fields().text(1, 50).contains("Operator has control"), "{:?}", said.fields().text(1, 50));
+    let Some(MavMessage::STATUSTEXT(said)) = said.message() else { panic!("a text") };
+    assert!(said.text.to_str().unwrap().contains("Operator has control"), "{:?}", said.text);
     // What was on its way arrives; then the vehicle flies the last command on, and hears no new one.
     let held: Vec<_> =
         (0..6).map(|_| stamp(&operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>))).collect();
@@ -180,7 +184,7 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
     let flown = (0..50).any(|_| {
         operator.say(|encoder, out| encoder.push(out, &west));
         let echo = operator.hear(Packet::is::<POSITION_TARGET_LOCAL_NED_DATA>);
-        echo.fields().f32(32) == -1.25
+        PositionTargetLocalNed::of(&echo).unwrap().acceleration[1] == -1.25
     });
     assert!(flown, "the operator is not heard");
     gcs.interrupt().unwrap();

@@ -9,8 +9,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use crpl_sitl::link::decoder::Packet;
-use crpl_sitl::link::dialect::{COMMAND_ACK_DATA, COMMAND_LONG_DATA, MavCmd};
+use crpl_sitl::link::dialect::{COMMAND_LONG_DATA, MavCmd};
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandAck;
 use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 /// Wait before a command is sent again: the standard's autopilots answer within 0.1 s.
@@ -148,14 +150,8 @@ impl Commander {
         const ACCEPTED: u8 = 0;
         const TEMPORARILY_REJECTED: u8 = 1;
         const IN_PROGRESS: u8 = 5;
-        if !packet.is::<COMMAND_ACK_DATA>() {
-            return;
-        }
-        let fields = packet.fields();
-        let (command, result) = (fields.u16(0), fields.u8(2));
-        let (system, component) = (fields.u8(8), fields.u8(9));
-        let ours =
-            (system == 0 || system == STATION_SYSTEM) && (component == 0 || component == STATION_COMPONENT);
+        let Some(CommandAck { command, result, target, .. }) = CommandAck::of(packet) else { return };
+        let ours = target.is(STATION_SYSTEM, STATION_COMPONENT);
         let answered = |p: &&mut Pending| {
             let (system, component) = p.ask.target;
             p.ask.command as u32 == u32::from(command)
@@ -204,6 +200,7 @@ impl Commander {
 mod tests {
     use crpl_sitl::link::decoder::Decoder;
     use crpl_sitl::link::dialect::MavResult;
+    use crpl_sitl::link::messages::command::CommandLong;
 
     use super::*;
 
@@ -222,7 +219,8 @@ mod tests {
         let mut datagram = Vec::new();
         commander.poll(now, &mut Encoder::new(255, 190), &mut datagram);
         let packets = Decoder::default().datagram(&datagram);
-        packets.iter().map(|p| (p.fields().u16(28), p.fields().u8(32))).collect()
+        let asks = packets.iter().filter_map(CommandLong::of);
+        asks.map(|ask| (ask.command, ask.confirmation)).collect()
     }
 
     fn ack(from: (u8, u8), command: u16, result: MavResult, to: (u8, u8)) -> Packet {

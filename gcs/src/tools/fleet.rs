@@ -5,7 +5,8 @@ use std::fmt;
 use std::time::Duration;
 
 use crpl_sitl::link::decoder::Packet;
-use crpl_sitl::link::dialect::HEARTBEAT_DATA;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::status::Heartbeat;
 
 /// A link counts as lost when five heartbeats, one a second of the vehicle's time, are missing.
 const LOST_AFTER: Duration = Duration::from_millis(5500);
@@ -182,13 +183,13 @@ impl Fleet {
         if let Some(vehicle) = self.vehicles.get_mut(&packet.system) {
             vehicle.components.insert(packet.component);
         }
-        let fields = packet.fields();
-        if !packet.is::<HEARTBEAT_DATA>() || fields.u8(5) == NO_AUTOPILOT {
+        let beat = Heartbeat::of(packet).filter(|beat| beat.autopilot != NO_AUTOPILOT);
+        let Some(Heartbeat { custom_mode, autopilot, base_mode, system_status: status, .. }) = beat else {
             return Vec::new();
-        }
+        };
         let (id, mut news) = (packet.system, Vec::new());
-        let mode = Mode { stack: Stack::of(fields.u8(5)), custom: fields.u32(0) };
-        let (armed, status) = (fields.u8(6) & ARMED != 0, fields.u8(7));
+        let mode = Mode { stack: Stack::of(autopilot), custom: custom_mode };
+        let armed = base_mode & ARMED != 0;
         let Some(known) = self.vehicles.get_mut(&id) else {
             let (autopilot, components) = (packet.component, [packet.component].into());
             let vehicle = Vehicle { mode, armed, status, autopilot, components, heard: now, lost: false };
@@ -246,7 +247,7 @@ impl Fleet {
 #[cfg(test)]
 mod tests {
     use crpl_sitl::link::decoder::Decoder;
-    use crpl_sitl::link::dialect::{MavAutopilot, MavModeFlag};
+    use crpl_sitl::link::dialect::{HEARTBEAT_DATA, MavAutopilot, MavModeFlag};
     use crpl_sitl::link::encoder::Encoder;
 
     use super::*;

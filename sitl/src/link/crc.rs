@@ -1,6 +1,10 @@
 //! The checksum of MAVLink frames (CRC-16/MCRF4XX), eight bytes at a time. The `mavlink` crate's goes byte
 //! by byte, which is most of the time that receiving a frame takes.
 
+use mavlink::Message;
+
+use super::dialect::MavMessage;
+
 /// How many bytes go at once, each through a table of its own.
 const SLICE: usize = 8;
 const POLYNOMIAL: u16 = 0x8408;
@@ -51,6 +55,18 @@ pub fn checksum(bytes: &[u8], extra: u8) -> u16 {
     rest.iter()
         .chain([&extra])
         .fold(crc, |crc, &byte| (crc >> 8) ^ TABLES[0][usize::from(crc.to_le_bytes()[0] ^ byte)])
+}
+
+/// The one message whose CRC_EXTRA is 0, which elsewhere means unknown: COMPONENT_INFORMATION.
+const ZERO_EXTRA: u32 = 395;
+
+/// CRC_EXTRA of a message that the dialect knows.
+#[must_use]
+pub fn crc_extra(id: u32) -> Option<u8> {
+    match MavMessage::extra_crc(id) {
+        0 if id != ZERO_EXTRA => None,
+        extra => Some(extra),
+    }
 }
 
 #[cfg(test)]

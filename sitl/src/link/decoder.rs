@@ -10,8 +10,9 @@ use std::ops::{Deref, DerefMut};
 
 use mavlink::{Message, MessageData};
 
-use super::crc::checksum;
+use super::crc::{checksum, crc_extra};
 use super::dialect::MavMessage;
+use super::frame::Frame;
 
 const MAGIC_V1: u8 = 0xFE;
 const MAGIC_V2: u8 = 0xFD;
@@ -99,12 +100,6 @@ impl Packet {
         MavMessage::parse(mavlink::MavlinkVersion::V2, self.id, self.payload()).ok()
     }
 
-    /// The payload's fields by offset; beyond its end lie zeros.
-    #[must_use]
-    pub fn fields(&self) -> Fields<'_> {
-        Fields(self.payload())
-    }
-
     /// Whether this is a message of type `M`.
     #[must_use]
     pub fn is<M: MessageData>(&self) -> bool {
@@ -112,51 +107,10 @@ impl Packet {
     }
 }
 
-/// Little-endian fields of a payload, read without the dialect's opinion on enums.
-#[derive(Debug, Clone, Copy)]
-pub struct Fields<'a>(&'a [u8]);
-
-impl Fields<'_> {
-    fn bytes<const N: usize>(self, at: usize) -> [u8; N] {
-        std::array::from_fn(|i| self.0.get(at + i).copied().unwrap_or(0))
-    }
-
-    /// Unsigned byte at `at`.
-    #[must_use]
-    pub fn u8(self, at: usize) -> u8 {
-        self.bytes::<1>(at)[0]
-    }
-
-    /// 16 bits at `at`.
-    #[must_use]
-    pub fn u16(self, at: usize) -> u16 {
-        u16::from_le_bytes(self.bytes(at))
-    }
-
-    /// 32 bits at `at`.
-    #[must_use]
-    pub fn u32(self, at: usize) -> u32 {
-        u32::from_le_bytes(self.bytes(at))
-    }
-
-    /// 64 bits at `at`.
-    #[must_use]
-    pub fn u64(self, at: usize) -> u64 {
-        u64::from_le_bytes(self.bytes(at))
-    }
-
-    /// Float at `at`.
-    #[must_use]
-    pub fn f32(self, at: usize) -> f32 {
-        f32::from_le_bytes(self.bytes(at))
-    }
-
-    /// Text of at most `length` bytes at `at`, up to its first NUL; what is no UTF-8 is replaced.
-    #[must_use]
-    pub fn text(self, at: usize, length: usize) -> String {
-        let bytes: Vec<u8> =
-            self.0.iter().skip(at).take(length).copied().take_while(|&byte| byte != 0).collect();
-        String::from_utf8_lossy(&bytes).into_owned()
+impl<'a> From<&'a Packet> for Frame<'a> {
+    fn from(packet: &'a Packet) -> Self {
+        let Packet { system, component, sequence, id, ref raw } = *packet;
+        Self { raw, system, component, sequence, id, known: true }
     }
 }
 
@@ -345,17 +299,6 @@ fn find_v1(rest: &[u8]) -> Found {
         Found::Old(checked + 2)
     } else {
         Found::Garbage
-    }
-}
-
-/// The one message whose CRC_EXTRA is 0, which elsewhere means unknown: COMPONENT_INFORMATION.
-const ZERO_EXTRA: u32 = 395;
-
-/// CRC_EXTRA of a message that the dialect knows.
-pub(super) fn crc_extra(id: u32) -> Option<u8> {
-    match MavMessage::extra_crc(id) {
-        0 if id != ZERO_EXTRA => None,
-        extra => Some(extra),
     }
 }
 

@@ -1,8 +1,11 @@
 //! Typed messages to MAVLink 2 frames, with one contiguous sequence per component and link.
 
-use mavlink::{MAVLinkV2MessageRaw, MavHeader, MessageData, calculate_crc};
+use mavlink::{MAVLinkV2MessageRaw, MavHeader, MessageData};
 
+use super::crc::checksum;
 use super::dialect;
+use super::messages::View;
+use super::messages::command::CommandAck;
 
 /// What a datagram may hold, bytes: below the MTU of an Ethernet or a VPN.
 pub const DATAGRAM: usize = 1400;
@@ -43,13 +46,13 @@ impl Encoder {
         result: dialect::MavResult,
         to: (u8, u8),
     ) {
-        type Ack = dialect::COMMAND_ACK_DATA;
-        let mut payload = [0; Ack::ENCODED_LEN];
-        payload[..2].copy_from_slice(&command.to_le_bytes());
-        payload[2] = result as u8;
-        payload[8] = to.0;
-        payload[9] = to.1;
-        self.push_payload::<Ack>(datagram, &payload);
+        let (result, target) = (result as u8, to.into());
+        self.push_view(datagram, &CommandAck { command, result, progress: 0, result_param2: 0, target });
+    }
+
+    /// Appends a message by its fields, whatever values they hold.
+    pub fn push_view<V: View>(&mut self, datagram: &mut Vec<u8>, view: &V) {
+        self.push_payload::<V::Message>(datagram, &view.payload());
     }
 
     /// Appends a frame of message `M` with this payload, whatever values it holds: the dialect's types
@@ -62,7 +65,7 @@ impl Encoder {
         let sequence = self.next_sequence();
         datagram.extend([0xFD, length as u8, 0, 0, sequence, self.system, self.component, id0, id1, id2]);
         datagram.extend_from_slice(&payload[..length]);
-        let crc = calculate_crc(&datagram[start + 1..], M::EXTRA_CRC);
+        let crc = checksum(&datagram[start + 1..], M::EXTRA_CRC);
         datagram.extend(crc.to_le_bytes());
     }
 

@@ -9,8 +9,10 @@ use std::sync::LazyLock;
 
 use mavlink::{MavlinkVersion, Message, calculate_crc};
 
+use super::crc::crc_extra;
 use super::decoder::Counts;
 use super::dialect::MavMessage;
+use super::messages::Target;
 
 const MAGIC_V1: u8 = 0xFE;
 const MAGIC_V2: u8 = 0xFD;
@@ -43,12 +45,6 @@ impl<'a> Frame<'a> {
         &self.raw[from..from + usize::from(self.raw[1])]
     }
 
-    /// The payload's byte at `at`; 0 beyond its end.
-    #[must_use]
-    pub fn byte(&self, at: usize) -> u8 {
-        self.payload().get(at).copied().unwrap_or(0)
-    }
-
     /// Whether it carries a signature.
     #[must_use]
     pub fn signed(&self) -> bool {
@@ -57,9 +53,10 @@ impl<'a> Frame<'a> {
 
     /// System and component that the message is for; 0 is all, and so is a message without a target.
     #[must_use]
-    pub fn target(&self) -> (u8, u8) {
-        let Some((system, component)) = target_offsets(self.id) else { return (0, 0) };
-        (self.byte(system), component.map_or(0, |at| self.byte(at)))
+    pub fn target(&self) -> Target {
+        let Some((system, component)) = target_offsets(self.id) else { return Target::default() };
+        let byte = |at: usize| self.payload().get(at).copied().unwrap_or(0);
+        Target { system: byte(system), component: component.map_or(0, byte) }
     }
 }
 
@@ -198,7 +195,7 @@ fn find(rest: &[u8]) -> Found {
     if rest.len() < whole {
         return Found::Cut;
     }
-    let Some(extra) = super::decoder::crc_extra(id) else {
+    let Some(extra) = crc_extra(id) else {
         let ends_well = matches!(rest.get(whole), None | Some(&(MAGIC_V1 | MAGIC_V2)));
         return if ends_well { Found::Frame { length: whole, known: false } } else { Found::Garbage };
     };

@@ -13,6 +13,8 @@ use std::collections::BTreeMap;
 use super::decoder::Packet;
 use super::dialect::{DATA_TRANSMISSION_HANDSHAKE_DATA, ENCAPSULATED_DATA_DATA, MavlinkDataStreamType};
 use super::encoder::{DATAGRAM, Encoder};
+use super::messages::View;
+use super::messages::image::{EncapsulatedData, Handshake};
 use crate::camera::{Frame, SIDE};
 use crate::units::Tick;
 
@@ -80,25 +82,6 @@ pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
     Ok((Tick(tick.ok_or(ImageError::NoTick)?), frame))
 }
 
-/// An image request or announcement.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Handshake {
-    /// MAVLINK_DATA_STREAM_TYPE.
-    pub kind: u8,
-    /// Bytes of the image.
-    pub size: u32,
-    /// Pixels.
-    pub width: u16,
-    /// Pixels.
-    pub height: u16,
-    /// Number of ENCAPSULATED_DATA.
-    pub packets: u16,
-    /// Bytes in each of them.
-    pub payload: u8,
-    /// JPEG quality in percent; of no meaning for a PNG.
-    pub quality: u8,
-}
-
 /// What a DATA_TRANSMISSION_HANDSHAKE asks of a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wish {
@@ -116,23 +99,6 @@ pub enum Wish {
 const PNG: u8 = MavlinkDataStreamType::MAVLINK_DATA_STREAM_IMG_PNG as u8;
 
 impl Handshake {
-    /// The handshake in a packet.
-    #[must_use]
-    pub fn of(packet: &Packet) -> Option<Self> {
-        packet.is::<DATA_TRANSMISSION_HANDSHAKE_DATA>().then(|| {
-            let fields = packet.fields();
-            Self {
-                size: fields.u32(0),
-                width: fields.u16(4),
-                height: fields.u16(6),
-                packets: fields.u16(8),
-                kind: fields.u8(10),
-                payload: fields.u8(11),
-                quality: fields.u8(12),
-            }
-        })
-    }
-
     /// What it asks for. Type 0 (JPEG) with quality 0 is the standard's stop message.
     #[must_use]
     pub fn wish(&self) -> Wish {
@@ -207,15 +173,12 @@ impl Reassembler {
                 self.clear();
             }
             self.announced = credible(&handshake).then_some(handshake);
-        } else if packet.is::<ENCAPSULATED_DATA_DATA>() {
-            let fields = packet.fields();
-            let seqnr = fields.u16(0);
-            if usize::from(seqnr) * CHUNK >= MAX_SIZE {
+        } else {
+            let EncapsulatedData { seq, data } = EncapsulatedData::of(packet)?;
+            if usize::from(seq) * CHUNK >= MAX_SIZE {
                 return None;
             }
-            self.chunks.insert(seqnr, std::array::from_fn(|i| fields.u8(2 + i)));
-        } else {
-            return None;
+            self.chunks.insert(seq, data);
         }
         self.complete()
     }

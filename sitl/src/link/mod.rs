@@ -10,6 +10,7 @@
 //! | [`decoder`] | datagrams to packets, through garbage, bad CRCs and frames cut in two |
 //! | [`frame`] | bytes to frames of any kind, uncopied, for whoever passes them on |
 //! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
+//! | [`messages`] | payloads by named fields: where in a message a field is |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
 //! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
@@ -26,6 +27,7 @@ pub mod endpoint;
 pub mod frame;
 pub mod image;
 pub mod links;
+pub mod messages;
 pub mod param_file;
 pub mod sequence;
 pub mod signing;

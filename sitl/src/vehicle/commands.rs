@@ -2,15 +2,19 @@
 
 use std::time::Duration;
 
-use mavlink::MessageData;
-
 use super::modes::{self, Mode};
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
-use crate::link::image::{self, Handshake, Wish};
-use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint, Target};
-use crate::link::{AUTOPILOT, PeerId, RADIO};
+use crate::link::image::{self, Wish};
+use crate::link::messages::command::SetMode;
+use crate::link::messages::image::Handshake;
+use crate::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet};
+use crate::link::messages::service::{FileTransfer, Ping, RequestDataStream, Timesync};
+use crate::link::messages::status::Heartbeat;
+use crate::link::messages::{Target, View};
+use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint};
+use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
 use crate::radio::message::Command;
 use crate::units::TxPower;
 
@@ -30,8 +34,7 @@ impl Vehicle {
             return;
         }
         let asker = (packet.system, packet.component);
-        let fields = packet.fields();
-        if packet.is::<dialect::HEARTBEAT_DATA>() && fields.u8(4) == MavType::MAV_TYPE_GCS as u8 {
+        if Heartbeat::of(packet).is_some_and(|beat| beat.kind == MavType::MAV_TYPE_GCS as u8) {
             self.watch.arrived();
         }
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
@@ -43,41 +46,36 @@ impl Vehicle {
             self.ask(&ask, asker, from, now);
         } else if let Some(handshake) = Handshake::of(packet) {
             self.image_wish(handshake.wish(), from, now);
-        } else if !self.files(packet, asker, from) {
-            let target = |at| Target { system: fields.u8(at), component: fields.u8(at + 1) };
-            match packet.id {
-                dialect::PARAM_SET_DATA::ID => {
-                    self.param_set(target(4), &fields.text(6, 16), fields.f32(0), asker, from, now);
-                }
-                dialect::PARAM_REQUEST_READ_DATA::ID => {
-                    self.param_read(target(2), fields.u16(0) as i16, &fields.text(4, 16), asker, from);
-                }
-                dialect::PARAM_REQUEST_LIST_DATA::ID => self.param_list(target(0), from),
-                dialect::REQUEST_DATA_STREAM_DATA::ID if self.autopilot_is_meant(target(2)) => {
-                    let hz = if fields.u8(5) == 0 { 0 } else { fields.u16(0) };
-                    self.set_group(fields.u8(4), f64::from(hz), from, now);
-                }
-                dialect::SET_MODE_DATA::ID if fields.u8(4) == self.system => {
-                    let result = self.set_mode(fields.u8(5), fields.u32(0) as f32, now);
-                    self.ack(dialect::SET_MODE_DATA::ID as u16, result, AUTOPILOT, asker, from);
-                }
-                // To nobody in particular it is a request; addressed to somebody, an answer.
-                dialect::PING_DATA::ID if (fields.u8(12), fields.u8(13)) == (0, 0) => {
-                    let (target_system, target_component) = asker;
-                    let (time_usec, seq) = (fields.u64(0), fields.u32(8));
-                    self.reply(from, &dialect::PING_DATA { time_usec, seq, target_system, target_component });
-                }
-                dialect::TIMESYNC_DATA::ID if fields.u64(0) == 0 && self.autopilot_is_meant(target(16)) => {
-                    let boot_ns = self.boot_ns(now) as i64;
-                    let (target_system, target_component) = asker;
-                    let ts1 = fields.u64(8) as i64;
-                    self.reply(
-                        from,
-                        &dialect::TIMESYNC_DATA { tc1: boot_ns, ts1, target_system, target_component },
-                    );
-                }
-                _ => self.mission(packet, asker, from, now),
+        } else if let Some(transfer) = FileTransfer::of(packet) {
+            self.files(&transfer, asker, from);
+        } else if let Some(set) = ParamSet::of(packet) {
+            self.param_set(set.target, &set.name.lossy(), f32::from_le_bytes(set.value), asker, from, now);
+        } else if let Some(read) = ParamRequestRead::of(packet) {
+            self.param_read(read.target, read.index, &read.name.lossy(), asker, from);
+        } else if let Some(list) = ParamRequestList::of(packet) {
+            self.param_list(list.target, from);
+        } else if let Some(request) = RequestDataStream::of(packet) {
+            if self.autopilot_is_meant(request.target) {
+                let hz = if request.start == 0 { 0 } else { request.rate };
+                self.set_group(request.stream, f64::from(hz), from, now);
             }
+        } else if let Some(set) = SetMode::of(packet) {
+            if set.system == self.system {
+                let result = self.set_mode(set.base_mode, set.custom_mode as f32, now);
+                self.ack(dialect::SET_MODE_DATA::ID as u16, result, AUTOPILOT, asker, from);
+            }
+        } else if let Some(ping) = Ping::of(packet) {
+            // To nobody in particular it is a request; addressed to somebody, an answer.
+            if ping.target == Target::default() {
+                self.reply_view(from, &Ping { target: asker.into(), ..ping });
+            }
+        } else if let Some(sync) = Timesync::of(packet) {
+            if sync.tc1 == 0 && self.autopilot_is_meant(sync.target) {
+                let tc1 = self.boot_ns(now) as i64;
+                self.reply_view(from, &Timesync { tc1, target: asker.into(), ..sync });
+            }
+        } else {
+            self.mission(packet, asker, from, now);
         }
     }
 
@@ -228,6 +226,14 @@ impl Vehicle {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.autopilot.push(&mut datagram, message);
+        self.outbox.push_back((to, datagram));
+    }
+
+    /// The same, of a message by its fields.
+    pub(super) fn reply_view<V: View>(&mut self, to: PeerId, view: &V) {
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let mut datagram = Vec::new();
+        peer.autopilot.push_view(&mut datagram, view);
         self.outbox.push_back((to, datagram));
     }
 

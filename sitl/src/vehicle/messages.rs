@@ -32,7 +32,6 @@
 
 use std::time::Duration;
 
-use mavlink::MessageData;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
@@ -45,7 +44,7 @@ use crate::link::dialect::{
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
-use crate::link::{AUTOPILOT, RADIO};
+use crate::link::{AUTOPILOT, MessageData, RADIO};
 use crate::radio::Fates;
 use crate::radio::message::Telemetry;
 use crate::units::Scale;

@@ -26,15 +26,16 @@
 
 use std::time::Duration;
 
-use mavlink::MessageData;
-
 use super::Vehicle;
 use super::modes::Mode;
 use super::plan::{Fault, Item, Plan};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavMissionResult, MavMissionType, MavResult};
-use crate::link::wire::Target;
-use crate::link::{AUTOPILOT, PeerId};
+use crate::link::messages::View;
+use crate::link::messages::mission::{
+    self, MissionAck, MissionCount, MissionItem, MissionPartialList, MissionRequest, MissionSetCurrent, Place,
+};
+use crate::link::{AUTOPILOT, MessageData, PeerId};
 
 /// The longest mission.
 const MOST_ITEMS: u16 = 700;
@@ -68,29 +69,6 @@ impl Upload {
     }
 }
 
-/// Where a mission message has its target's system and component, and its mission type if any.
-struct Layout {
-    target: usize,
-    kind: Option<usize>,
-}
-
-fn layout(id: u32) -> Option<Layout> {
-    let (target, kind) = match id {
-        dialect::MISSION_REQUEST_LIST_DATA::ID | dialect::MISSION_CLEAR_ALL_DATA::ID => (0, Some(2)),
-        dialect::MISSION_ACK_DATA::ID => (0, Some(3)),
-        dialect::MISSION_COUNT_DATA::ID
-        | dialect::MISSION_REQUEST_DATA::ID
-        | dialect::MISSION_REQUEST_INT_DATA::ID => (2, Some(4)),
-        dialect::MISSION_REQUEST_PARTIAL_LIST_DATA::ID | dialect::MISSION_WRITE_PARTIAL_LIST_DATA::ID => {
-            (4, Some(6))
-        }
-        dialect::MISSION_ITEM_DATA::ID | dialect::MISSION_ITEM_INT_DATA::ID => (32, Some(37)),
-        dialect::MISSION_SET_CURRENT_DATA::ID => (2, None),
-        _ => return None,
-    };
-    Some(Layout { target, kind })
-}
-
 /// The lists that a vehicle could have.
 fn mission_type(number: u8) -> Option<MavMissionType> {
     match number {
@@ -104,69 +82,62 @@ fn mission_type(number: u8) -> Option<MavMissionType> {
 impl Vehicle {
     /// Answers a message of the mission protocol; leaves any other alone.
     pub(super) fn mission(&mut self, packet: &Packet, asker: (u8, u8), from: PeerId, now: Duration) {
-        let Some(Layout { target, kind }) = layout(packet.id) else { return };
-        let fields = packet.fields();
-        let target = Target { system: fields.u8(target), component: fields.u8(target + 1) };
+        let Some((target, list)) = mission::address_of(packet) else { return };
         if !target.is(self.system, AUTOPILOT) {
             return;
         }
-        let list = mission_type(kind.map_or(0, |at| fields.u8(at)));
-        if packet.is::<dialect::MISSION_ACK_DATA>() {
-            return self.upload_ended(fields.u8(2), asker, from);
+        if let Some(ack) = MissionAck::of(packet) {
+            return self.upload_ended(ack.result, asker, from);
         }
-        if list != Some(MISSION) {
+        if mission_type(list) != Some(MISSION) {
             return self.other_list(packet, list, asker, from);
         }
-        match packet.id {
-            dialect::MISSION_REQUEST_LIST_DATA::ID => {
-                // Home is there before any mission is. DroneKit waits for it.
-                let count = self.plan.items().len().max(1) as u16;
-                self.tell_count(count, MISSION, asker, from);
+        if let Some(MissionRequest { seq, .. }) = MissionRequest::of(packet) {
+            let as_int = packet.is::<dialect::MISSION_REQUEST_INT_DATA>();
+            self.tell_item(seq, as_int, asker, from);
+        } else if let Some(MissionCount { count, .. }) = MissionCount::of(packet) {
+            self.upload(0, count, Vec::new(), asker, from, now);
+        } else if let Some((item, place)) = MissionItem::with_place(packet) {
+            self.item(&item, place, asker, from, now);
+        } else if let Some(MissionSetCurrent { seq, .. }) = MissionSetCurrent::of(packet) {
+            if !self.set_current(seq, now) {
+                let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+                self.mission_ack(result, MISSION, asker, from);
             }
-            dialect::MISSION_REQUEST_INT_DATA::ID | dialect::MISSION_REQUEST_DATA::ID => {
-                let as_int = packet.is::<dialect::MISSION_REQUEST_INT_DATA>();
-                self.tell_item(fields.u16(0), as_int, asker, from);
+        } else if packet.is::<dialect::MISSION_REQUEST_LIST_DATA>() {
+            // Home is there before any mission is. DroneKit waits for it.
+            let count = self.plan.items().len().max(1) as u16;
+            self.tell_count(count, MISSION, asker, from);
+        } else if packet.is::<dialect::MISSION_CLEAR_ALL_DATA>() {
+            self.install(Vec::new());
+            self.mission_ack(ACCEPTED, MISSION, asker, from);
+        } else if packet.is::<dialect::MISSION_WRITE_PARTIAL_LIST_DATA>()
+            && let Some(MissionPartialList { first, last, .. }) = MissionPartialList::of(packet)
+        {
+            let items = self.plan.items().to_vec();
+            if first < 0 || last < first || last as usize >= items.len() {
+                let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+                return self.mission_ack(result, MISSION, asker, from);
             }
-            dialect::MISSION_COUNT_DATA::ID => self.upload(0, fields.u16(0), Vec::new(), asker, from, now),
-            dialect::MISSION_WRITE_PARTIAL_LIST_DATA::ID => {
-                let (first, last) = (fields.u16(0) as i16, fields.u16(2) as i16);
-                let items = self.plan.items().to_vec();
-                if first < 0 || last < first || last as usize >= items.len() {
-                    let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
-                    return self.mission_ack(result, MISSION, asker, from);
-                }
-                self.upload(first as u16, last as u16 + 1, items, asker, from, now);
-            }
-            dialect::MISSION_ITEM_INT_DATA::ID | dialect::MISSION_ITEM_DATA::ID => {
-                self.item(packet, asker, from, now);
-            }
-            dialect::MISSION_CLEAR_ALL_DATA::ID => {
-                self.install(Vec::new());
-                self.mission_ack(ACCEPTED, MISSION, asker, from);
-            }
-            dialect::MISSION_SET_CURRENT_DATA::ID => {
-                if !self.set_current(fields.u16(0), now) {
-                    let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
-                    self.mission_ack(result, MISSION, asker, from);
-                }
-            }
-            _ => self.mission_ack(MavMissionResult::MAV_MISSION_UNSUPPORTED, MISSION, asker, from),
+            self.upload(first as u16, last as u16 + 1, items, asker, from, now);
+        } else {
+            self.mission_ack(MavMissionResult::MAV_MISSION_UNSUPPORTED, MISSION, asker, from);
         }
     }
 
     /// Fences and rally points: there are none, and there can be none.
-    fn other_list(&mut self, packet: &Packet, list: Option<MavMissionType>, asker: (u8, u8), from: PeerId) {
-        match (list, packet.id) {
+    fn other_list(&mut self, packet: &Packet, list: u8, asker: (u8, u8), from: PeerId) {
+        match (mission_type(list), packet.id) {
             (Some(list), dialect::MISSION_REQUEST_LIST_DATA::ID) => self.tell_count(0, list, asker, from),
             (Some(list), dialect::MISSION_CLEAR_ALL_DATA::ID) => {
                 self.mission_ack(ACCEPTED, list, asker, from)
             }
             // 255, all lists.
-            (None, dialect::MISSION_CLEAR_ALL_DATA::ID) if packet.fields().u8(2) == u8::MAX => {
+            (None, dialect::MISSION_CLEAR_ALL_DATA::ID) if list == u8::MAX => {
                 self.install(Vec::new());
                 self.mission_ack(ACCEPTED, MavMissionType::MAV_MISSION_TYPE_ALL, asker, from);
             }
-            _ => {
+            (list, _) => {
                 let list = list.unwrap_or_default();
                 self.mission_ack(MavMissionResult::MAV_MISSION_UNSUPPORTED, list, asker, from);
             }
@@ -233,12 +204,12 @@ impl Vehicle {
     }
 
     /// MISSION_ITEM_INT or MISSION_ITEM.
-    fn item(&mut self, packet: &Packet, asker: (u8, u8), from: PeerId, now: Duration) {
+    fn item(&mut self, sent: &MissionItem, place: Place, asker: (u8, u8), from: PeerId, now: Duration) {
         let expected = self.upload.as_ref().filter(|upload| (upload.from, upload.asker) == (from, asker));
         let Some(expected) = expected.map(|upload| upload.next) else {
             return self.mission_ack(MavMissionResult::MAV_MISSION_ERROR, MISSION, asker, from);
         };
-        let (seq, item) = Item::of(packet);
+        let (seq, item) = (sent.seq, Item::of(sent, place));
         if seq != expected {
             return self.request_item();
         }

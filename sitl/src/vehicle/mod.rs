@@ -50,9 +50,11 @@ use std::time::Duration;
 use crate::link::decoder::{Counts, Decoder, Packet};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::Encoder;
+use crate::link::messages::View;
+use crate::link::messages::service::SetupSigning;
 use crate::link::sequence::{Heard, Sequence};
-use crate::link::signing::{self, Origin, Rejection, Signing};
-use crate::link::wire::{Clock, Refusal, Target};
+use crate::link::signing::{self, Key, Origin, Rejection, Signing};
+use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::scenario::Scenario;
 use crate::sim::Sim;
@@ -383,9 +385,8 @@ impl Vehicle {
 
     /// SETUP_SIGNING: the first key comes from anybody, any other must be signed with the old one.
     fn setup_signing(&mut self, packet: &Packet, origin: Origin, now: Duration) {
-        let Some((key, initial)) = signing::setup_of(packet) else { return };
-        let fields = packet.fields();
-        let target = Target { system: fields.u8(8), component: fields.u8(9) };
+        let Some(SetupSigning { initial_timestamp, target, key }) = SetupSigning::of(packet) else { return };
+        let key = Key::new(key);
         if !target.is(self.system, AUTOPILOT) {
             return;
         }
@@ -394,7 +395,7 @@ impl Vehicle {
             return;
         }
         let text = if key.is_some() { "signing: new key" } else { "signing: off" };
-        self.signing.set_key(key, initial);
+        self.signing.set_key(key, initial_timestamp);
         self.say("signing", MavSeverity::MAV_SEVERITY_NOTICE, text, now);
     }
 

@@ -23,8 +23,8 @@ use nalgebra::Vector2;
 
 use super::modes::Mode;
 use super::{Vehicle, geodesy};
-use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavCmd, MavFrame, MavMissionResult, MavMissionType, MissionState};
+use crate::link::messages::mission::{MissionItem, Place};
 use crate::scenario::Obstacle;
 use crate::world::dynamics::State;
 
@@ -86,27 +86,15 @@ pub(super) struct Fault {
 }
 
 impl Item {
-    /// The item in a MISSION_ITEM_INT or MISSION_ITEM, and its number.
-    pub fn of(packet: &Packet) -> (u16, Self) {
-        let fields = packet.fields();
-        let frame = fields.u8(34);
-        let coordinate = |at: usize| {
-            if packet.is::<dialect::MISSION_ITEM_INT_DATA>() {
-                return fields.u32(at) as i32;
-            }
+    /// The item of a message, at `place`.
+    pub fn of(sent: &MissionItem, place: Place) -> Self {
+        let MissionItem { params, z, command, frame, autocontinue, .. } = *sent;
+        let [x, y] = match place {
+            Place::Integers(place) => place,
             // What is no number becomes 0.
-            (f64::from(fields.f32(at)) * per_unit(frame)).round() as i32
+            Place::Floats(place) => place.map(|v| (f64::from(v) * per_unit(frame)).round() as i32),
         };
-        let item = Self {
-            command: fields.u16(30),
-            frame,
-            params: [0, 4, 8, 12].map(|at| fields.f32(at)),
-            x: coordinate(16),
-            y: coordinate(20),
-            z: fields.f32(24),
-            autocontinue: fields.u8(36),
-        };
-        (fields.u16(28), item)
+        Self { command, frame, params, x, y, z, autocontinue }
     }
 
     /// Item 0: where the vehicle returns to.

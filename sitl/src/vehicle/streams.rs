@@ -2,15 +2,13 @@
 
 use std::time::Duration;
 
-use mavlink::MessageData;
-
 use super::messages::{self, Row, State};
 use super::missions::Upload;
 use super::modes::Mode;
 use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
-use crate::link::{AUTOPILOT, PeerId, image, wire};
+use crate::link::{AUTOPILOT, MessageData, PeerId, image, wire};
 
 /// No row of the table is longer, bytes.
 const LONGEST: usize = 280;

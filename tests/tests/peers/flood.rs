@@ -9,9 +9,12 @@ use std::time::{Duration, Instant};
 
 use crpl_sitl::link::decoder::{Decoder, Packet};
 use crpl_sitl::link::dialect::{
-    self, HEARTBEAT_DATA, MavFrame, PING_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    HEARTBEAT_DATA, MavFrame, PING_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::service::Ping;
+use crpl_sitl::link::messages::telemetry::{LocalPositionNed, PositionTargetLocalNed};
 use tests::program::{self, PATIENCE};
 
 const FRAMES: u64 = 100_000;
@@ -152,7 +155,7 @@ impl Peer {
         let mut datagram = Vec::new();
         self.encoder.push(&mut datagram, &PING_DATA { seq, ..Default::default() });
         self.send(&datagram);
-        self.wait(|packet| packet.is::<PING_DATA>() && packet.fields().u32(8) == seq);
+        self.wait(|packet| Ping::of(packet).is_some_and(|ping| ping.seq == seq));
     }
 
     /// The next packet for which `found` holds.
@@ -181,9 +184,9 @@ impl Peer {
         let push = self.setpoint(5.0);
         self.send(&push);
         self.wait(|packet| {
-            packet.is::<dialect::POSITION_TARGET_LOCAL_NED_DATA>() && packet.fields().f32(28) == 5.0
+            PositionTargetLocalNed::of(packet).is_some_and(|target| target.acceleration[0] == 5.0)
         });
-        self.wait(|packet| packet.is::<dialect::LOCAL_POSITION_NED_DATA>() && packet.fields().f32(4) > 250.5);
+        self.wait(|packet| LocalPositionNed::of(packet).is_some_and(|place| place.position[0] > 250.5));
     }
 }
 
@@ -260,7 +263,7 @@ fn after_a_flood_at_full_speed_it_answers_and_flies_on() {
         let mut buffer = [0; 65_536];
         let packets =
             peer.socket.recv(&mut buffer).map_or(Vec::new(), |n| peer.decoder.datagram(&buffer[..n]));
-        if packets.iter().any(|packet| packet.is::<PING_DATA>() && packet.fields().u32(8) > 1) {
+        if packets.iter().any(|packet| Ping::of(packet).is_some_and(|ping| ping.seq > 1)) {
             break asked.elapsed();
         }
         assert!(asked.elapsed() < PATIENCE, "no answer after the flood");

@@ -13,8 +13,6 @@
 //!
 //! A vehicle that leaves its mode by itself or by an operator's hand gets no more setpoints.
 
-#![expect(deprecated, reason = "ArduPilot's older versions have no message intervals")]
-
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -23,9 +21,12 @@ use crpl_sitl::Scenario;
 use crpl_sitl::link::decoder::{Decoder, Packet};
 use crpl_sitl::link::dialect::{
     COMMAND_LONG_DATA, LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity,
-    PositionTargetTypemask, REQUEST_DATA_STREAM_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::service::RequestDataStream;
+use crpl_sitl::link::messages::telemetry::LocalPositionNed;
+use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::radio::message::{Command, Percept};
 
@@ -213,11 +214,10 @@ impl Guide {
     }
 
     fn packet(&mut self, packet: &Packet, now: Duration) {
-        let fields = packet.fields();
-        if packet.is::<LOCAL_POSITION_NED_DATA>() && packet.component == AUTOPILOT {
-            let vector = |at| std::array::from_fn(|k| fields.f32(at + 4 * k));
-            let boot = Duration::from_millis(fields.u32(0).into());
-            let place = Place { position: vector(4), velocity: vector(16), boot, at: now };
+        let place = LocalPositionNed::of(packet).filter(|_| packet.component == AUTOPILOT);
+        if let Some(LocalPositionNed { time_boot_ms, position, velocity }) = place {
+            let boot = Duration::from_millis(time_boot_ms.into());
+            let place = Place { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
             if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
@@ -326,8 +326,9 @@ impl Guide {
                 self.say(format!("message interval {verdict}: asking for data streams"));
                 let (system, component) = ask.target;
                 for (stream, hz) in [(STREAM_POSITION, 20), (STREAM_ALL, 4)] {
-                    let payload = [hz, 0, system, component, stream, 1];
-                    self.station.push_payload::<REQUEST_DATA_STREAM_DATA>(datagram, &payload);
+                    let target = Target { system, component };
+                    self.station
+                        .push_view(datagram, &RequestDataStream { rate: hz, target, stream, start: 1 });
                 }
             }
             command if self.asked == Some(command) && verdict != Verdict::Accepted => {

@@ -3,6 +3,8 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use crpl_sitl::Sim;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandLong;
 use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::vehicle::Vehicle;
 use proptest::prelude::*;
@@ -158,7 +160,7 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
     let packets: Vec<Packet> = sent.iter().flat_map(|bytes| decoder.datagram(bytes)).collect();
     let sequence: Vec<u8> = packets.iter().map(|p| p.sequence).collect();
     assert!(sequence.len() >= 4 && sequence.iter().copied().eq(0..sequence.len() as u8), "{sequence:?}");
-    assert_eq!(packets[2].fields().u8(30), 9, "the command's target");
+    assert_eq!(CommandLong::of(&packets[2]).unwrap().target.system, 9, "the command's target");
     assert!(packets.iter().all(|p| (p.system, p.component) == (255, 190)));
 }
 

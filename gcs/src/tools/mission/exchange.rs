@@ -7,10 +7,12 @@ use std::time::Duration;
 
 use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::dialect::{
-    MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_ITEM_INT_DATA,
-    MISSION_REQUEST_DATA, MISSION_REQUEST_INT_DATA, MISSION_REQUEST_LIST_DATA,
+    MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_REQUEST_DATA,
+    MISSION_REQUEST_LIST_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::mission::{MissionAck, MissionCount, MissionRequest};
+use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 use super::item::Item;
@@ -42,20 +44,15 @@ fn refusal(result: u8) -> String {
     words.into()
 }
 
-/// Whether a packet is from the vehicle and for us.
-fn is_ours(packet: &Packet, vehicle: (u8, u8), at: usize) -> bool {
-    let fields = packet.fields();
-    let (system, component) = (fields.u8(at), fields.u8(at + 1));
-    (packet.system, packet.component) == vehicle
-        && (system == 0 || system == STATION_SYSTEM)
-        && (component == 0 || component == STATION_COMPONENT)
+/// Whether a packet is from the vehicle and its target is us.
+fn is_ours(packet: &Packet, vehicle: (u8, u8), target: Target) -> bool {
+    (packet.system, packet.component) == vehicle && target.is(STATION_SYSTEM, STATION_COMPONENT)
 }
 
 /// The result in a MISSION_ACK for us about a flight mission.
 fn ack_of(packet: &Packet, vehicle: (u8, u8)) -> Option<u8> {
-    let about_mission = packet.fields().u8(3) == 0;
-    (packet.is::<MISSION_ACK_DATA>() && is_ours(packet, vehicle, 0) && about_mission)
-        .then(|| packet.fields().u8(2))
+    let ack = MissionAck::of(packet)?;
+    (is_ours(packet, vehicle, ack.target) && ack.mission_type == 0).then_some(ack.result)
 }
 
 /// Gives the vehicle a mission.
@@ -90,13 +87,11 @@ impl Exchange for Upload {
             }
             return;
         }
-        let asks = packet.is::<MISSION_REQUEST_INT_DATA>() || packet.is::<MISSION_REQUEST_DATA>();
-        if asks && is_ours(packet, self.target, 2) && packet.fields().u8(4) == 0 {
-            let sequence = packet.fields().u16(0);
-            if usize::from(sequence) >= self.items.len() {
-                return;
-            }
-            self.asked = Some(sequence);
+        let asked = MissionRequest::of(packet)
+            .filter(|ask| is_ours(packet, self.target, ask.target) && ask.mission_type == 0)
+            .filter(|ask| usize::from(ask.seq) < self.items.len());
+        if let Some(ask) = asked {
+            self.asked = Some(ask.seq);
             self.question.retry.go_on(now);
         }
     }
@@ -120,8 +115,8 @@ impl Exchange for Upload {
                 station.push(datagram, &count);
             }
             Some(sequence) => {
-                let payload = self.items[usize::from(sequence)].payload(sequence, self.target);
-                station.push_payload::<MISSION_ITEM_INT_DATA>(datagram, &payload);
+                let item = self.items[usize::from(sequence)].to_message(sequence, self.target);
+                station.push_view(datagram, &item);
             }
         }
     }
@@ -164,13 +159,14 @@ impl Exchange for Download {
     type Output = Vec<Item>;
 
     fn packet(&mut self, packet: &Packet, now: Duration) {
-        let fields = packet.fields();
         if !self.question.retry.asked() || self.whole() {
             return;
         }
-        if packet.is::<MISSION_COUNT_DATA>() && is_ours(packet, self.target, 2) && fields.u8(4) == 0 {
+        let count = MissionCount::of(packet)
+            .filter(|count| is_ours(packet, self.target, count.target) && count.mission_type == 0);
+        if let Some(MissionCount { count, .. }) = count {
             if self.count.is_none() {
-                self.count = Some(fields.u16(0));
+                self.count = Some(count);
                 self.question.retry.go_on(now);
             }
         } else if let Some(result) = ack_of(packet, self.target) {
@@ -181,10 +177,10 @@ impl Exchange for Download {
             } else {
                 self.question.answered(Err(refusal(result)));
             }
-        } else if let Some((sequence, item)) = Item::of(packet)
-            && is_ours(packet, self.target, 32)
+        } else if let Some((sent, item)) = Item::of(packet)
+            && is_ours(packet, self.target, sent.target)
             && self.count.is_some()
-            && usize::from(sequence) == self.items.len()
+            && usize::from(sent.seq) == self.items.len()
         {
             self.items.push(item);
             self.question.retry.go_on(now);
@@ -215,13 +211,11 @@ impl Exchange for Download {
                 station.push(datagram, &ask);
             }
             Some(_) => {
-                let mut payload = [0; 5];
-                payload[..2].copy_from_slice(&seq.to_le_bytes());
-                payload[2..4].copy_from_slice(&[target_system, target_component]);
+                let ask = MissionRequest { seq, target: self.target.into(), mission_type: 0 };
                 if self.old {
-                    station.push_payload::<MISSION_REQUEST_DATA>(datagram, &payload);
+                    station.push_payload::<MISSION_REQUEST_DATA>(datagram, &ask.payload());
                 } else {
-                    station.push_payload::<MISSION_REQUEST_INT_DATA>(datagram, &payload);
+                    station.push_view(datagram, &ask);
                 }
             }
         }
@@ -282,13 +276,15 @@ impl Exchange for Clear {
 
 #[cfg(test)]
 mod tests {
+    use crpl_sitl::link::MessageData;
     use crpl_sitl::link::decoder::Decoder;
+    use crpl_sitl::link::dialect::{MISSION_ITEM_INT_DATA, MISSION_REQUEST_INT_DATA};
     use proptest::prelude::*;
 
     use super::*;
 
     const VEHICLE: (u8, u8) = (7, 1);
-    const US: [u8; 2] = [STATION_SYSTEM, STATION_COMPONENT];
+    const US: Target = Target { system: STATION_SYSTEM, component: STATION_COMPONENT };
 
     fn item(k: u16) -> Item {
         Item {
@@ -304,8 +300,8 @@ mod tests {
     }
 
     /// A vehicle's side of the protocol.
-    #[derive(Default)]
     struct Peer {
+        encoder: Encoder,
         items: Vec<Item>,
         expected: u16,
         /// Speaks the older messages, as ArduPilot asks in an upload.
@@ -313,65 +309,68 @@ mod tests {
         refuses: Option<u8>,
     }
 
+    impl Default for Peer {
+        fn default() -> Self {
+            let encoder = Encoder::new(VEHICLE.0, VEHICLE.1);
+            Self { encoder, items: Vec::new(), expected: 0, old: false, refuses: None }
+        }
+    }
+
     impl Peer {
-        fn ack(result: u8) -> (u32, Vec<u8>) {
-            (47, vec![US[0], US[1], result])
+        fn ack(&mut self, result: u8) -> Vec<u8> {
+            self.say::<MISSION_ACK_DATA>(&MissionAck { target: US, result, mission_type: 0, opaque_id: 0 })
         }
 
-        fn ask(&self) -> (u32, Vec<u8>) {
-            let mut payload = (self.items.len() as u16).to_le_bytes().to_vec();
-            payload.extend(US);
-            (if self.old { 40 } else { 51 }, payload)
+        fn ask(&mut self) -> Vec<u8> {
+            let ask = MissionRequest { seq: self.items.len() as u16, target: US, mission_type: 0 };
+            if self.old {
+                self.say::<MISSION_REQUEST_DATA>(&ask)
+            } else {
+                self.say::<MISSION_REQUEST_INT_DATA>(&ask)
+            }
         }
 
-        fn hear(&mut self, packet: &Packet) -> (u32, Vec<u8>) {
-            let fields = packet.fields();
+        fn say<M: MessageData>(&mut self, view: &impl View) -> Vec<u8> {
+            let mut out = Vec::new();
+            self.encoder.push_payload::<M>(&mut out, &view.payload());
+            out
+        }
+
+        fn hear(&mut self, packet: &Packet) -> Vec<u8> {
             if let Some(result) = self.refuses {
-                return Self::ack(result);
+                return self.ack(result);
             }
             match packet.id {
-                43 => {
-                    let mut payload = (self.items.len() as u16).to_le_bytes().to_vec();
-                    payload.extend(US);
-                    (44, payload)
+                MISSION_REQUEST_LIST_DATA::ID => {
+                    let count = self.items.len() as u16;
+                    let count = MissionCount { count, target: US, mission_type: 0, opaque_id: 0 };
+                    self.say::<MISSION_COUNT_DATA>(&count)
                 }
-                51 if self.old => Self::ack(3),
-                40 | 51 => {
-                    let sequence = fields.u16(0);
-                    let item = &self.items[usize::from(sequence)];
-                    (73, item.payload(sequence, (US[0], US[1])).to_vec())
+                MISSION_REQUEST_INT_DATA::ID if self.old => self.ack(3),
+                MISSION_REQUEST_DATA::ID | MISSION_REQUEST_INT_DATA::ID => {
+                    let seq = MissionRequest::of(packet).unwrap().seq;
+                    let item = self.items[usize::from(seq)].to_message(seq, (US.system, US.component));
+                    self.say::<MISSION_ITEM_INT_DATA>(&item)
                 }
-                44 => {
-                    self.expected = fields.u16(0);
+                MISSION_COUNT_DATA::ID => {
+                    self.expected = MissionCount::of(packet).unwrap().count;
                     self.items.clear();
                     self.ask()
                 }
-                73 => {
-                    let (sequence, item) = Item::of(packet).unwrap();
-                    if usize::from(sequence) == self.items.len() {
+                MISSION_ITEM_INT_DATA::ID => {
+                    let (sent, item) = Item::of(packet).unwrap();
+                    if usize::from(sent.seq) == self.items.len() {
                         self.items.push(item);
                     }
-                    if self.items.len() == usize::from(self.expected) { Self::ack(0) } else { self.ask() }
+                    if self.items.len() == usize::from(self.expected) { self.ack(0) } else { self.ask() }
                 }
-                45 => {
+                MISSION_CLEAR_ALL_DATA::ID => {
                     self.items.clear();
-                    Self::ack(0)
+                    self.ack(0)
                 }
                 id => panic!("message {id}"),
             }
         }
-    }
-
-    fn frame(encoder: &mut Encoder, id: u32, payload: &[u8]) -> Vec<u8> {
-        let mut out = Vec::new();
-        match id {
-            40 => encoder.push_payload::<MISSION_REQUEST_DATA>(&mut out, payload),
-            44 => encoder.push_payload::<MISSION_COUNT_DATA>(&mut out, payload),
-            47 => encoder.push_payload::<MISSION_ACK_DATA>(&mut out, payload),
-            51 => encoder.push_payload::<MISSION_REQUEST_INT_DATA>(&mut out, payload),
-            _ => encoder.push_payload::<MISSION_ITEM_INT_DATA>(&mut out, payload),
-        }
-        out
     }
 
     fn run<E: Exchange>(
@@ -379,7 +378,7 @@ mod tests {
         peer: &mut Peer,
         mut lost: impl FnMut() -> bool,
     ) -> Result<E::Output, String> {
-        let (mut station, mut vehicle) = (Encoder::new(US[0], US[1]), Encoder::new(VEHICLE.0, VEHICLE.1));
+        let mut station = Encoder::new(US.system, US.component);
         let (mut ours, mut theirs, mut now) = (Decoder::default(), Decoder::default(), Duration::ZERO);
         for _ in 0..10_000 {
             let mut datagram = Vec::new();
@@ -391,8 +390,7 @@ mod tests {
                 if lost() {
                     continue;
                 }
-                let (id, payload) = peer.hear(&packet);
-                let answer = frame(&mut vehicle, id, &payload);
+                let answer = peer.hear(&packet);
                 if !lost() {
                     ours.datagram(&answer).iter().for_each(|packet| exchange.packet(packet, now));
                 }

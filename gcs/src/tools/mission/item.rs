@@ -1,7 +1,7 @@
 //! A mission item as files and people have it, and as MISSION_ITEM_INT has it.
 
 use crpl_sitl::link::decoder::Packet;
-use crpl_sitl::link::dialect::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA};
+use crpl_sitl::link::messages::mission::{MissionItem, Place};
 
 /// MAV_FRAME_GLOBAL and its kin hold latitude and longitude.
 const GLOBAL_FRAMES: [u8; 6] = [0, 3, 5, 6, 10, 11];
@@ -41,57 +41,37 @@ fn scale(frame: u8) -> f64 {
 }
 
 impl Item {
-    /// The payload of MISSION_ITEM_INT.
+    /// The fields of MISSION_ITEM_INT; `seq` is the item's number.
     #[must_use]
-    pub fn payload(&self, sequence: u16, target: (u8, u8)) -> [u8; 38] {
-        let mut payload = [0; 38];
+    pub fn to_message(&self, seq: u16, target: (u8, u8)) -> MissionItem {
         let scale = scale(self.frame);
-        // A cast saturates, and makes 0 of what is no number.
-        let [x, y] = [self.x, self.y].map(|v| (v * scale).round() as i32);
-        for (k, param) in self.params.iter().enumerate() {
-            payload[4 * k..4 * k + 4].copy_from_slice(&param.to_le_bytes());
+        MissionItem {
+            params: self.params,
+            // A cast saturates, and makes 0 of what is no number.
+            place: [self.x, self.y].map(|v| (v * scale).round() as i32),
+            z: self.z,
+            seq,
+            command: self.command,
+            target: target.into(),
+            frame: self.frame,
+            current: self.current.into(),
+            autocontinue: self.autocontinue.into(),
+            mission_type: 0,
         }
-        payload[16..20].copy_from_slice(&x.to_le_bytes());
-        payload[20..24].copy_from_slice(&y.to_le_bytes());
-        payload[24..28].copy_from_slice(&self.z.to_le_bytes());
-        payload[28..30].copy_from_slice(&sequence.to_le_bytes());
-        payload[30..32].copy_from_slice(&self.command.to_le_bytes());
-        payload[32..37].copy_from_slice(&[
-            target.0,
-            target.1,
-            self.frame,
-            u8::from(self.current),
-            u8::from(self.autocontinue),
-        ]);
-        payload
     }
 
-    /// The item in a MISSION_ITEM_INT or the older MISSION_ITEM, with its number.
+    /// The item in a MISSION_ITEM_INT or the older MISSION_ITEM, with the message's own fields.
     #[must_use]
-    pub fn of(packet: &Packet) -> Option<(u16, Self)> {
-        let fields = packet.fields();
-        let frame = fields.u8(34);
-        let place = |at| {
-            if packet.is::<MISSION_ITEM_INT_DATA>() {
-                f64::from(fields.u32(at) as i32) / scale(frame)
-            } else {
-                f64::from(fields.f32(at))
-            }
+    pub fn of(packet: &Packet) -> Option<(MissionItem, Self)> {
+        let (sent, place) = MissionItem::with_place(packet)?;
+        let MissionItem { params, z, command, frame, current, autocontinue, .. } = sent;
+        let [x, y] = match place {
+            Place::Integers(place) => place.map(|v| f64::from(v) / scale(frame)),
+            Place::Floats(place) => place.map(f64::from),
         };
-        if !packet.is::<MISSION_ITEM_INT_DATA>() && !packet.is::<MISSION_ITEM_DATA>() {
-            return None;
-        }
-        let item = Self {
-            // Files know the twins without INT alone.
-            frame: INT_FRAMES.iter().find(|(int, _)| *int == frame).map_or(frame, |&(_, plain)| plain),
-            command: fields.u16(30),
-            current: fields.u8(35) != 0,
-            autocontinue: fields.u8(36) != 0,
-            params: std::array::from_fn(|k| fields.f32(4 * k)),
-            x: place(16),
-            y: place(20),
-            z: fields.f32(24),
-        };
-        Some((fields.u16(28), item))
+        // Files know the twins without INT alone.
+        let plain = INT_FRAMES.iter().find(|(int, _)| *int == frame).map_or(frame, |&(_, plain)| plain);
+        let (current, autocontinue) = (current != 0, autocontinue != 0);
+        Some((sent, Self { frame: plain, command, current, autocontinue, params, x, y, z }))
     }
 }

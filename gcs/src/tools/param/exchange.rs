@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::dialect::{
-    MavMessage, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
-    PARAM_VALUE_DATA,
+    MavMessage, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::param::{MAX_NAME, ParamSet, ParamValue};
 
 use super::value::{Encoding, Kind, NoNumber, Number};
 use crate::tools::retry::Question;
@@ -19,8 +20,6 @@ use crate::tools::session::Exchange;
 const PAUSE: Duration = Duration::from_millis(400);
 /// Missing parameters that are asked for at a time.
 const BATCH: usize = 20;
-/// Longest name.
-const NAME: usize = 16;
 /// Index of a value that is told but not at its place in the list.
 const NO_INDEX: u16 = u16::MAX;
 
@@ -47,19 +46,16 @@ impl fmt::Display for Param {
 pub struct NoName(String);
 
 fn checked(name: &str) -> Result<(), NoName> {
-    let good = (1..=NAME).contains(&name.len()) && name.bytes().all(|b| b.is_ascii_graphic());
+    let good = (1..=MAX_NAME).contains(&name.len()) && name.bytes().all(|b| b.is_ascii_graphic());
     if good { Ok(()) } else { Err(NoName(name.into())) }
 }
 
 /// A PARAM_VALUE: index, number of parameters, parameter.
 fn value_of(packet: &Packet, target: (u8, u8), encoding: Encoding) -> Option<(u16, u16, Param)> {
-    if !packet.is::<PARAM_VALUE_DATA>() || (packet.system, packet.component) != target {
-        return None;
-    }
-    let fields = packet.fields();
-    let kind = Kind::of(fields.u8(24));
-    let value = Number::decode(fields.u32(0).to_le_bytes(), kind, encoding);
-    Some((fields.u16(6), fields.u16(4), Param { name: fields.text(8, NAME), kind, value }))
+    let told = ParamValue::of(packet).filter(|_| (packet.system, packet.component) == target)?;
+    let kind = Kind::of(told.kind);
+    let value = Number::decode(told.value, kind, encoding);
+    Some((told.index, told.count, Param { name: told.name.lossy().into(), kind, value }))
 }
 
 /// Whether the vehicle says that it has no such parameter, or will not have it set so.
@@ -237,7 +233,7 @@ pub enum Written {
 /// Sets one parameter.
 #[derive(Debug)]
 pub struct Set {
-    payload: [u8; 23],
+    message: ParamSet,
     wanted: Param,
     target: (u8, u8),
     encoding: Encoding,
@@ -249,15 +245,14 @@ pub struct Set {
 impl Set {
     /// Sets `param`, whose type is known, to `value`.
     pub fn new(param: &Param, value: Number, target: (u8, u8), encoding: Encoding) -> Result<Self, NoNumber> {
-        let mut payload = [0; 23];
-        payload[..4].copy_from_slice(&value.encode(encoding)?);
-        payload[4..6].copy_from_slice(&[target.0, target.1]);
-        for (to, from) in payload[6..22].iter_mut().zip(param.name.bytes()) {
-            *to = from;
-        }
-        payload[22] = param.kind.code();
+        let message = ParamSet {
+            value: value.encode(encoding)?,
+            target: target.into(),
+            name: param.name.as_str().into(),
+            kind: param.kind.code(),
+        };
         Ok(Self {
-            payload,
+            message,
             wanted: Param { value, ..param.clone() },
             target,
             encoding,
@@ -293,7 +288,7 @@ impl Exchange for Set {
         if !self.question.fires(now, || format!("no answer to setting {}", self.wanted.name)) {
             return;
         }
-        station.push_payload::<PARAM_SET_DATA>(datagram, &self.payload);
+        station.push_view(datagram, &self.message);
     }
 
     fn due(&self) -> Option<Duration> {
@@ -308,6 +303,7 @@ impl Exchange for Set {
 #[cfg(test)]
 mod tests {
     use crpl_sitl::link::decoder::Decoder;
+    use crpl_sitl::link::messages::param::ParamRequestRead;
     use crpl_sitl::world::noise::{Noise, Stream};
     use proptest::prelude::*;
     use rand::RngExt;
@@ -339,38 +335,39 @@ mod tests {
 
         fn value(&mut self, index: usize) -> Vec<u8> {
             let param = &self.params[index];
-            let mut payload = [0; 25];
-            payload[..4].copy_from_slice(&param.value.encode(self.encoding).unwrap());
-            payload[4..6].copy_from_slice(&(self.params.len() as u16).to_le_bytes());
-            payload[6..8].copy_from_slice(&(index as u16).to_le_bytes());
-            payload[8..8 + param.name.len()].copy_from_slice(param.name.as_bytes());
-            payload[24] = param.kind.code();
+            let told = ParamValue {
+                value: param.value.encode(self.encoding).unwrap(),
+                count: self.params.len() as u16,
+                index: index as u16,
+                name: param.name.as_str().into(),
+                kind: param.kind.code(),
+            };
             let mut out = Vec::new();
-            self.encoder.push_payload::<PARAM_VALUE_DATA>(&mut out, &payload);
+            self.encoder.push_view(&mut out, &told);
             out
         }
 
         fn hear(&mut self, packet: &Packet) -> Vec<Vec<u8>> {
-            let fields = packet.fields();
             if packet.is::<PARAM_REQUEST_LIST_DATA>() {
                 return (0..self.params.len()).map(|index| self.value(index)).collect();
             }
-            let (at, name) = if packet.is::<PARAM_REQUEST_READ_DATA>() {
-                (fields.u16(0) as i16, fields.text(4, NAME))
-            } else {
-                (-1, fields.text(6, NAME))
+            let set = ParamSet::of(packet);
+            let (at, name) = match (ParamRequestRead::of(packet), &set) {
+                (Some(read), _) => (read.index, read.name),
+                (None, Some(set)) => (-1, set.name),
+                (None, None) => panic!("message {}", packet.id),
             };
             let index = match usize::try_from(at) {
                 Ok(index) => index,
-                Err(_) => match self.params.iter().position(|param| param.name == name) {
+                Err(_) => match self.params.iter().position(|param| param.name == name.lossy()) {
                     Some(index) => index,
                     None => return vec![],
                 },
             };
-            if packet.is::<PARAM_SET_DATA>() && !self.keeps {
+            if let Some(set) = set.filter(|_| !self.keeps) {
                 let kind = self.params[index].kind;
-                assert_eq!(fields.u8(22), kind.code());
-                self.params[index].value = Number::decode(fields.u32(0).to_le_bytes(), kind, self.encoding);
+                assert_eq!(set.kind, kind.code());
+                self.params[index].value = Number::decode(set.value, kind, self.encoding);
             }
             vec![self.value(index)]
         }

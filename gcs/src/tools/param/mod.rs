@@ -15,6 +15,8 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use crpl_sitl::link::dialect::AUTOPILOT_VERSION_DATA;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::status::AutopilotVersion;
 
 use crate::tools::fleet::Stack;
 use crate::tools::session::{Link, Session};
@@ -102,8 +104,10 @@ async fn encoding(session: &mut Session) -> Result<Encoding> {
     const PARAM_ENCODE_BYTEWISE: u64 = 16;
     let stack = session.vehicle().map(|vehicle| vehicle.mode.stack);
     let version = session.request::<AUTOPILOT_VERSION_DATA>().await?;
-    Ok(match version.map(|packet| packet.fields().u64(0)) {
-        Some(capabilities) if capabilities & PARAM_ENCODE_BYTEWISE != 0 => Encoding::Bytewise,
+    Ok(match version.and_then(|packet| AutopilotVersion::of(&packet)) {
+        Some(AutopilotVersion { capabilities }) if capabilities & PARAM_ENCODE_BYTEWISE != 0 => {
+            Encoding::Bytewise
+        }
         None if stack == Some(Stack::Px4) => Encoding::Bytewise,
         _ => Encoding::CCast,
     })

@@ -20,13 +20,13 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{fmt, io};
 
-use mavlink::{MessageData, calculate_crc};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::decoder::{Packet, SIGNED, crc_extra};
-use super::dialect;
+use super::crc::{checksum, crc_extra};
+use super::decoder::{Packet, SIGNED};
 use super::encoder::DATAGRAM;
+use super::{MessageData, dialect};
 
 /// Bytes behind the checksum: link, timestamp, signature.
 pub const TRAILER: usize = 13;
@@ -265,7 +265,7 @@ impl Signing {
         let mut out = Vec::with_capacity(frame.len() + TRAILER);
         out.extend_from_slice(&frame[..frame.len() - 2]);
         out[2] |= SIGNED;
-        out.extend(calculate_crc(&out[1..], extra).to_le_bytes());
+        out.extend(checksum(&out[1..], extra).to_le_bytes());
         out.push(link);
         out.extend_from_slice(&self.newest.to_le_bytes()[..STAMP]);
         let signature = key.signature(&out);
@@ -302,17 +302,8 @@ pub fn strip(frame: &[u8]) -> Vec<u8> {
     let Some(extra) = crc_extra(message_id(frame)) else { return frame.to_vec() };
     let mut out = frame[..checked].to_vec();
     out[2] &= !SIGNED;
-    out.extend(calculate_crc(&out[1..], extra).to_le_bytes());
+    out.extend(checksum(&out[1..], extra).to_le_bytes());
     out
-}
-
-/// The key in a SETUP_SIGNING, none for "off", and its initial timestamp.
-#[must_use]
-pub fn setup_of(packet: &Packet) -> Option<(Option<Key>, u64)> {
-    packet.is::<dialect::SETUP_SIGNING_DATA>().then(|| {
-        let fields = packet.fields();
-        (Key::new(std::array::from_fn(|i| fields.u8(10 + i))), fields.u64(0))
-    })
 }
 
 /// Why a key file cannot be used.

@@ -15,12 +15,15 @@
 //! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
 //! of the LOCAL_POSITION_NED, for its own stamp names another tick.
 
-use mavlink::MessageData;
-
 use super::decoder::Packet;
 use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
-use super::{AUTOPILOT, RADIO};
+use super::frame::Frame;
+use super::messages::command::{CommandInt, CommandLong};
+use super::messages::setpoint::SetPositionTargetLocalNed;
+use super::messages::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
+use super::messages::{Target, View};
+use super::{AUTOPILOT, MessageData, RADIO};
 use crate::radio::message::{Command, Held, LinkReport, Telemetry};
 use crate::scenario::Scenario;
 use crate::units::{Tick, TxPower};
@@ -240,15 +243,15 @@ impl TelemetryReader {
 
 impl Open {
     fn begin(packet: &Packet, clock: &Clock) -> Option<Self> {
-        let fields = packet.fields();
-        let boot_ms = fields.u32(0);
+        let LocalPositionNed { time_boot_ms, position: [x, y, _], velocity: [vx, vy, _] } =
+            LocalPositionNed::of(packet)?;
         Some(Self {
             system: packet.system,
             sequence: packet.sequence,
-            boot_ms,
-            tick: clock.tick(boot_ms)?,
-            position: finite([fields.f32(4), fields.f32(8)])?,
-            velocity: finite([fields.f32(16), fields.f32(20)])?,
+            boot_ms: time_boot_ms,
+            tick: clock.tick(time_boot_ms)?,
+            position: finite([x, y])?,
+            velocity: finite([vx, vy])?,
             held: None,
             obstacles: clock.radii_m.iter().map(|_| None).collect(),
             snr_db: None,
@@ -259,47 +262,39 @@ impl Open {
 
     /// `None` if the message does not belong to this report.
     fn add(&mut self, packet: &Packet, clock: &Clock) -> Option<()> {
-        let fields = packet.fields();
-        match packet.id {
-            dialect::POSITION_TARGET_LOCAL_NED_DATA::ID => {
-                if packet.sequence != self.sequence.wrapping_add(1) {
-                    return None;
-                }
-                let held = if fields.u16(48) & MASK_IGNORES_ACCEL == 0 {
-                    let accel = finite([fields.f32(28), fields.f32(32)])?;
-                    Some(Held { tick: clock.tick(fields.u32(0))?, accel })
-                } else {
-                    None
-                };
-                self.held = Some(held);
+        if let Some(target) = PositionTargetLocalNed::of(packet) {
+            if packet.sequence != self.sequence.wrapping_add(1) {
+                return None;
             }
-            dialect::DEBUG_VECT_DATA::ID => {
-                let Some(index) = obstacle_index(&fields.text(20, 10)) else { return Some(()) };
-                if fields.u64(0) != u64::from(self.boot_ms) * 1000 {
-                    return None;
-                }
-                // A vehicle with another number of obstacles flies another scenario.
-                *self.obstacles.get_mut(index)? = Some(finite([fields.f32(8), fields.f32(12)])?);
-                if index == 0 && self.obstacles.contains(&None) {
-                    return None;
-                }
+            self.held = Some(if target.type_mask & MASK_IGNORES_ACCEL == 0 {
+                let [north, east, _] = target.acceleration;
+                Some(Held { tick: clock.tick(target.time_boot_ms)?, accel: finite([north, east])? })
+            } else {
+                None
+            });
+        } else if let Some(DebugVect { time_usec, vector: [x, y, _], name }) = DebugVect::of(packet) {
+            let Some(index) = obstacle_index(&name.lossy()) else { return Some(()) };
+            if time_usec != u64::from(self.boot_ms) * 1000 {
+                return None;
             }
-            dialect::NAMED_VALUE_FLOAT_DATA::ID => {
-                let (stamp, value) = (fields.u32(0), fields.f32(4));
-                let slot = fields.text(8, 10);
-                if !matches!(slot.as_str(), "SNR_DB" | "TXP" | "OUTAGE") {
-                    return Some(());
-                }
-                if stamp != self.boot_ms || !value.is_finite() {
-                    return None;
-                }
-                match slot.as_str() {
-                    "SNR_DB" => self.snr_db = Some(value),
-                    "TXP" => self.power = Some(TxPower::from_level(value).ok()?),
-                    _ => self.outage = Some(value != 0.0),
-                }
+            // A vehicle with another number of obstacles flies another scenario.
+            *self.obstacles.get_mut(index)? = Some(finite([x, y])?);
+            if index == 0 && self.obstacles.contains(&None) {
+                return None;
             }
-            _ => {}
+        } else if let Some(NamedValueFloat { time_boot_ms, value, name }) = NamedValueFloat::of(packet) {
+            let name = name.lossy();
+            if !matches!(&*name, "SNR_DB" | "TXP" | "OUTAGE") {
+                return Some(());
+            }
+            if time_boot_ms != self.boot_ms || !value.is_finite() {
+                return None;
+            }
+            match &*name {
+                "SNR_DB" => self.snr_db = Some(value),
+                "TXP" => self.power = Some(TxPower::from_level(value).ok()?),
+                _ => self.outage = Some(value != 0.0),
+            }
         }
         Some(())
     }
@@ -368,23 +363,6 @@ pub fn push_setpoint(
     station.push(datagram, &setpoint);
 }
 
-/// System and component to which a message is addressed; 0 is all.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Target {
-    /// System id.
-    pub system: u8,
-    /// Component id.
-    pub component: u8,
-}
-
-impl Target {
-    /// Whether a component is meant.
-    #[must_use]
-    pub fn is(self, system: u8, component: u8) -> bool {
-        (self.system == 0 || self.system == system) && (self.component == 0 || self.component == component)
-    }
-}
-
 /// An acceleration that a station asks for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setpoint {
@@ -415,13 +393,9 @@ pub enum Refusal {
 /// finite and is not flown. Yaw is not flown either, and what the mask ignores is not read.
 #[must_use]
 pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>)> {
-    if !packet.is::<dialect::SET_POSITION_TARGET_LOCAL_NED_DATA>() {
-        return None;
-    }
-    let fields = packet.fields();
-    let mask = fields.u16(48);
-    let accel = [fields.f32(28), fields.f32(32), fields.f32(36)];
-    let result = if fields.u8(52) != FRAME_LOCAL_NED {
+    let asked = SetPositionTargetLocalNed::of(packet)?;
+    let mask = asked.type_mask;
+    let result = if asked.coordinate_frame != FRAME_LOCAL_NED {
         Err(Refusal::Frame)
     } else if mask & MASK_FORCE != 0 {
         Err(Refusal::Force)
@@ -429,12 +403,12 @@ pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>
         || mask & MASK_IGNORES_POSITION_AND_VELOCITY != MASK_IGNORES_POSITION_AND_VELOCITY
     {
         Err(Refusal::NotAcceleration)
-    } else if finite(accel).is_none() {
-        Err(Refusal::NotFinite)
+    } else if let Some([north, east, _]) = finite(asked.acceleration) {
+        Ok(Setpoint { stamp_ms: asked.time_boot_ms, accel: [north, east] })
     } else {
-        Ok(Setpoint { stamp_ms: fields.u32(0), accel: [accel[0], accel[1]] })
+        Err(Refusal::NotFinite)
     };
-    Some((Target { system: fields.u8(50), component: fields.u8(51) }, result))
+    Some((asked.target, result))
 }
 
 /// A COMMAND_LONG or COMMAND_INT, read from its bytes: the dialect refuses commands it has no name
@@ -457,28 +431,18 @@ pub struct Ask {
 
 /// The command in a packet.
 #[must_use]
-pub fn ask_of(packet: &Packet) -> Option<Ask> {
-    // Both have params at 0, param5 or x at 16, param7 or z at 24, command at 28, target at 30 and 31.
-    let is_int = packet.is::<dialect::COMMAND_INT_DATA>();
-    if !packet.is::<dialect::COMMAND_LONG_DATA>() && !is_int {
-        return None;
+pub fn ask_of<'a>(packet: impl Into<Frame<'a>>) -> Option<Ask> {
+    let packet = packet.into();
+    let on_globe = |[latitude, longitude]: &[f64; 2]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0;
+    if let Some(CommandLong { params, command, target, .. }) = CommandLong::of(packet) {
+        let [param1, param2, param3, param4, x, y, height] = params;
+        let place = Some([x, y].map(f64::from)).filter(on_globe);
+        return Some(Ask { command, params: [param1, param2, param3, param4], place, height, target });
     }
-    let fields = packet.fields();
-    let frame = fields.u8(32);
-    let place = if is_int {
-        let degrees = [16, 20].map(|at| f64::from(fields.u32(at) as i32) / 1e7);
-        FRAMES_GLOBAL.contains(&frame).then_some(degrees)
-    } else {
-        Some([16, 20].map(|at| f64::from(fields.f32(at))))
-    };
-    let above_home = !is_int || FRAMES_RELATIVE_ALT.contains(&frame);
-    Some(Ask {
-        command: fields.u16(28),
-        params: [0, 4, 8, 12].map(|at| fields.f32(at)),
-        place: place.filter(|[latitude, longitude]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0),
-        height: if above_home { fields.f32(24) } else { f32::NAN },
-        target: Target { system: fields.u8(30), component: fields.u8(31) },
-    })
+    let CommandInt { params, place, z, command, target, frame, .. } = CommandInt::of(packet)?;
+    let degrees = FRAMES_GLOBAL.contains(&frame).then(|| place.map(|v| f64::from(v) / 1e7));
+    let height = if FRAMES_RELATIVE_ALT.contains(&frame) { z } else { f32::NAN };
+    Some(Ask { command, params, place: degrees.filter(on_globe), height, target })
 }
 
 #[cfg(test)]

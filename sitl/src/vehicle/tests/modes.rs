@@ -121,8 +121,8 @@ fn set_mode_is_answered_too() {
     for (custom_mode, result) in [(17, MavResult::MAV_RESULT_ACCEPTED), (1, MavResult::MAV_RESULT_DENIED)] {
         let base_mode = dialect::MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
         let reply = bench.send(&dialect::SET_MODE_DATA { custom_mode, target_system: 7, base_mode });
-        let ack = reply.iter().find(|p| p.is::<dialect::COMMAND_ACK_DATA>()).unwrap().fields();
-        assert_eq!((ack.u16(0), ack.u8(2)), (11, result as u8));
+        let ack = reply.iter().find_map(CommandAck::of).unwrap();
+        assert_eq!((ack.command, ack.result), (11, result as u8));
     }
 }
 

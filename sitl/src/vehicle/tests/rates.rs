@@ -171,7 +171,8 @@ fn the_wall_clock_is_told_if_it_is_known() {
         bench.now = Duration::from_secs(3);
         let reply = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_MESSAGE, 2.0, (7, 1)));
         bench.vehicle.set_epoch(Some(Duration::from_secs(1_000_000)));
-        reply[1].fields().u64(0)
+        let Some(MavMessage::SYSTEM_TIME(time)) = reply[1].message() else { panic!("SYSTEM_TIME") };
+        time.time_unix_usec
     };
     assert_eq!((unix(), unix()), (0, 1_000_003_000_000));
 }

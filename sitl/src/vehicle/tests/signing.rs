@@ -79,7 +79,7 @@ fn required_hears_nothing_unsigned_and_makes_nobody_a_peer_of_it() {
     assert!(bench.hello().is_empty());
     let old = {
         let mut old = vec![0xFE, 9, 0, 255, 190, 0, 0, 0, 0, 0, 6, 8, 0, 4, 3];
-        let crc = mavlink::calculate_crc(&old[1..], dialect::HEARTBEAT_DATA::EXTRA_CRC);
+        let crc = checksum(&old[1..], dialect::HEARTBEAT_DATA::EXTRA_CRC);
         old.extend(crc.to_le_bytes());
         old
     };

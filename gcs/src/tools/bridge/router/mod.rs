@@ -20,7 +20,11 @@ use std::time::Duration;
 
 use crpl_sitl::link::encoder::DATAGRAM;
 use crpl_sitl::link::frame::{Frame, Splitter};
+use crpl_sitl::link::messages::command::CommandAck;
+use crpl_sitl::link::messages::service::{Ping, Timesync};
+use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::sequence::Sequence;
+use crpl_sitl::link::wire;
 
 use super::counters::Counters;
 
@@ -37,19 +41,14 @@ const LIVES_HERE: Duration = Duration::from_secs(5);
 /// Requests whose answers are waited for, to time them.
 const PENDING: usize = 64;
 
-/// Message ids that the router reads.
+/// Messages that the router treats by their id.
 mod id {
-    pub const PING: u32 = 4;
     pub const SET_MODE: u32 = 11;
     pub const MANUAL_CONTROL: u32 = 69;
     pub const RC_CHANNELS_OVERRIDE: u32 = 70;
-    pub const COMMAND_INT: u32 = 75;
-    pub const COMMAND_LONG: u32 = 76;
-    pub const COMMAND_ACK: u32 = 77;
     pub const SET_ATTITUDE_TARGET: u32 = 82;
     pub const SET_POSITION_TARGET_LOCAL_NED: u32 = 84;
     pub const SET_POSITION_TARGET_GLOBAL_INT: u32 = 86;
-    pub const TIMESYNC: u32 = 111;
     pub const SETUP_SIGNING: u32 = 256;
 }
 
@@ -234,7 +233,7 @@ impl Router {
         }
         self.time(from, frame, now);
         let source = (frame.system, frame.component);
-        let (system, component) = frame.target();
+        let Target { system, component } = frame.target();
         let reach = if system == 0 { Reach::All } else { self.reach(system, component) };
         let group = self.next_group;
         for (&id, link) in &mut self.links {
@@ -292,9 +291,9 @@ impl Router {
     /// Whether the flight that holds the vehicle keeps this frame here.
     fn keeps_back(&mut self, from: LinkId, frame: &Frame<'_>) -> bool {
         let Some((vehicle, pilot)) = self.hold else { return false };
-        let (system, _) = frame.target();
-        if frame.id == id::COMMAND_ACK && frame.system == vehicle {
-            self.mode_answered(frame);
+        let Target { system, .. } = frame.target();
+        if let Some(ack) = CommandAck::of(*frame).filter(|_| frame.system == vehicle) {
+            self.mode_answered(&ack);
         }
         if from == pilot || (system != vehicle && system != 0) {
             return false;
@@ -322,28 +321,29 @@ impl Router {
     }
 
     /// An operator's mode change counts once the vehicle has accepted it.
-    fn mode_answered(&mut self, ack: &Frame<'_>) {
+    fn mode_answered(&mut self, ack: &CommandAck) {
         const ACCEPTED: u8 = 0;
         const IN_PROGRESS: u8 = 5;
-        let command = u16::from_le_bytes([ack.byte(0), ack.byte(1)]);
-        let Some(at) = self.mode_asked.iter().position(|&(asked, _)| asked == command) else { return };
+        let Some(at) = self.mode_asked.iter().position(|&(asked, _)| asked == ack.command) else { return };
         let (_, by) = self.mode_asked.swap_remove(at);
-        if matches!(ack.byte(2), ACCEPTED | IN_PROGRESS) {
+        if matches!(ack.result, ACCEPTED | IN_PROGRESS) {
             self.notices.push(Notice::ModeChange(by));
         }
     }
 
     /// Times requests and their answers: what a link and those behind it take for a round trip.
     fn time(&mut self, from: LinkId, frame: &Frame<'_>, now: Duration) {
-        let long = |at| u64::from_le_bytes(std::array::from_fn(|i| frame.byte(at + i)));
-        let command = |at| u16::from_le_bytes([frame.byte(at), frame.byte(at + 1)]);
-        let (asked, is_request) = match frame.id {
-            id::TIMESYNC => (Asked::Time(frame.id, long(8)), long(0) == 0),
+        let (asked, is_request) = if let Some(sync) = Timesync::of(*frame) {
+            (Asked::Time(frame.id, sync.ts1 as u64), sync.tc1 == 0)
+        } else if let Some(ping) = Ping::of(*frame) {
             // A request asks everybody, an answer names the asker.
-            id::PING => (Asked::Time(frame.id, long(0)), frame.target() == (0, 0)),
-            id::COMMAND_LONG | id::COMMAND_INT => (Asked::Command(command(28), frame.target().0), true),
-            id::COMMAND_ACK => (Asked::Command(command(0), frame.system), false),
-            _ => return,
+            (Asked::Time(frame.id, ping.time_usec), ping.target == Target::default())
+        } else if let Some(ask) = wire::ask_of(*frame) {
+            (Asked::Command(ask.command, ask.target.system), true)
+        } else if let Some(ack) = CommandAck::of(*frame) {
+            (Asked::Command(ack.command, frame.system), false)
+        } else {
+            return;
         };
         if is_request {
             self.pending.retain(|(other, ..)| *other != asked);
@@ -450,17 +450,13 @@ fn mode_command(frame: &Frame<'_>) -> Option<u16> {
         DO_PAUSE_CONTINUE,
         MISSION_START,
     ];
-    match frame.id {
-        // Some vehicles answer the old message as they answer the command.
-        id::SET_MODE => Some(DO_SET_MODE),
-        id::COMMAND_LONG | id::COMMAND_INT => {
-            let command = u16::from_le_bytes([frame.byte(28), frame.byte(29)]);
-            let param1 = f32::from_le_bytes(std::array::from_fn(|i| frame.byte(i)));
-            let disarms = command == COMPONENT_ARM_DISARM && param1 == 0.0;
-            (disarms || COMMANDS.contains(&command)).then_some(command)
-        }
-        _ => None,
+    // Some vehicles answer the old message as they answer the command.
+    if frame.id == id::SET_MODE {
+        return Some(DO_SET_MODE);
     }
+    let wire::Ask { command, params: [first, ..], .. } = wire::ask_of(*frame)?;
+    let disarms = command == COMPONENT_ARM_DISARM && first == 0.0;
+    (disarms || COMMANDS.contains(&command)).then_some(command)
 }
 
 /// What tells a frame from others.
