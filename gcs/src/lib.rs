@@ -17,3 +17,16 @@ pub mod flight;
 pub mod lab;
 pub mod station;
 pub mod tools;
+
+/// Git revision of the sources from which this was compiled, with `-dirty` if one of them differed from
+/// it; `unknown` where git did not tell. Files that are not compiled, such as documents, do not count.
+#[must_use]
+pub const fn revision() -> &'static str {
+    env!("CRPL_REVISION")
+}
+
+/// Names the bytes of the code that was compiled: results of equal names were computed by the same code.
+#[must_use]
+pub const fn sources() -> &'static str {
+    env!("CRPL_SOURCES")
+}

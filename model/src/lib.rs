@@ -7,7 +7,7 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
-//! | [`numeric`] | inner loops, small networks, optimisers | what they are for |
+//! | [`numeric`] | inner loops, small networks, optimisers, statistics | what they are for |
 //! | [`encoder`] | frame to latents: plain Rust for flights, a burn module for training | link, policies |
 //! | [`predictor`] | linear, MLP and LSTM predictors; the observer | frames, positions |
 //! | [`heads`] | collision probability and channel gain: labels, networks | frames |
@@ -28,3 +28,10 @@ pub mod planning;
 pub mod predictor;
 pub mod training;
 pub mod world_model;
+
+/// Git revision of the sources from which this was compiled, with `-dirty` if one of them differed from
+/// it; `unknown` where git did not tell. Files that are not compiled, such as documents, do not count.
+#[must_use]
+pub const fn revision() -> &'static str {
+    env!("CRPL_REVISION")
+}

@@ -31,6 +31,5 @@ pub mod units;
 pub mod vehicle;
 pub mod world;
 
-pub use program::revision;
 pub use scenario::Scenario;
 pub use sim::Sim;

@@ -3,9 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use crpl_gcs::lab::Contender;
-use crpl_gcs::lab::stats::Mean;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_model::numeric::statistics::Mean;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightScore, Metric};
 use serde::Deserialize;

@@ -112,6 +112,63 @@ fn a_sweep_that_was_killed_goes_on_without_loss() {
     assert_same(&cut, &whole);
 }
 
+/// A git repository in `folder` with one empty commit, and a copy of `gcs` in it.
+fn repository(folder: &Path) -> PathBuf {
+    git(folder, &["init", "-q"]);
+    commit(folder);
+    let program = folder.join("gcs");
+    std::fs::copy(program::path("gcs").unwrap(), &program).unwrap();
+    program
+}
+
+fn commit(folder: &Path) {
+    let author = ["-c", "user.name=x", "-c", "user.email=x", "-c", "commit.gpgsign=false"];
+    git(folder, &[&author[..], &["commit", "-q", "--allow-empty", "-m", "x"]].concat());
+}
+
+fn git(folder: &Path, args: &[&str]) -> String {
+    let output = Command::new("git").arg("-C").arg(folder).args(args).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+#[test]
+fn the_revision_is_that_of_the_build_wherever_the_program_lies() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut command = Command::new(repository(dir.path()));
+    command.current_dir(dir.path()).args(["demo", "--controller", "rcc", "--out", "run"]);
+    Program::spawn("gcs", command).unwrap().wait().unwrap().good().unwrap();
+    let run = std::fs::read_to_string(dir.path().join("run/rcc/run.json")).unwrap();
+    let run: serde_json::Value = serde_json::from_str(&run).unwrap();
+    assert_eq!(run["revision"], crpl_gcs::revision());
+    assert_ne!(run["revision"], *git(dir.path(), &["rev-parse", "HEAD"]));
+    if let Some(head) = crpl_gcs::revision().get(..40) {
+        git(workspace(), &["cat-file", "-e", head]);
+    }
+}
+
+#[test]
+fn a_commit_does_not_stop_a_sweep_from_going_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (program, out) = (repository(dir.path()), dir.path().join("sweep"));
+    let run = || {
+        let mut command = Command::new(&program);
+        command.current_dir(workspace()).args(["sweep", "--out", out.to_str().unwrap()]).args(SMALL);
+        Program::spawn("gcs", command).unwrap().wait().unwrap().good().unwrap();
+        bytes(&out)
+    };
+    let whole = run();
+    // What a sweep leaves that was stopped in its middle.
+    let episodes = std::fs::read_to_string(out.join("episodes.csv")).unwrap();
+    let half: String = episodes.lines().take(20).map(|line| format!("{line}\n")).collect();
+    std::fs::write(out.join("episodes.part.csv"), half).unwrap();
+    for name in ["episodes.csv", "episodes.parquet", "points.csv"] {
+        std::fs::remove_file(out.join(name)).unwrap();
+    }
+    commit(dir.path());
+    assert!(run() == whole);
+}
+
 #[test]
 fn a_folder_of_another_sweep_is_not_touched() {
     let dir = tempfile::tempdir().unwrap();

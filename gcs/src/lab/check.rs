@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
-use crpl_model::evaluation::intervals::{Interval, wilson};
+use crpl_model::numeric::statistics::{Interval, wilson};
 use crpl_model::planning::algorithm1::OptimiseConfig;
 use crpl_model::planning::objective::Objective;
 use crpl_model::planning::policy::Policies;

@@ -1,18 +1,16 @@
 //! Many flights in process on consecutive seeds, every picture rendered and encoded, controllers
 //! paired by the same gusts.
 
-use std::io::IsTerminal;
-
 use anyhow::Result;
+use crpl_model::numeric::statistics::Mean;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::progress;
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::lab::Contender;
-use crate::lab::stats::Mean;
 use crate::station::models::ModelFiles;
 use crate::station::pilot::Controller;
 
@@ -65,13 +63,7 @@ pub struct Row {
 pub fn run(args: &Episodes) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let models = args.models.load()?;
-    let bar = ProgressBar::new(args.episodes * args.controller.len() as u64);
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-    }
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} flights {elapsed}, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = progress::bar("flights", args.episodes * args.controller.len() as u64);
     for controller in &args.controller {
         let contender = Contender::new(&models, *controller, &scenario)?;
         let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)

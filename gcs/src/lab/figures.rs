@@ -1,8 +1,6 @@
 //! Pictures of flights: the path over the blockage field, transmit power marked (the paper's Fig. 4).
 
-use std::path::Path;
-
-use anyhow::{Context, Result, anyhow};
+use crpl_model::evaluation::chart::Figure;
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::COLOURS;
 use crpl_sitl::sim::record::Record;
@@ -13,8 +11,6 @@ use nalgebra::Vector2;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::plot;
-
 /// Cells of the blockage field along each side.
 const CELLS: usize = 100;
 const LOW: RGBColor = RGBColor(31, 119, 180);
@@ -22,56 +18,39 @@ const LOW: RGBColor = RGBColor(31, 119, 180);
 const BODIES: [RGBColor; COLOURS] = [RGBColor(70, 90, 140), RGBColor(70, 130, 90)];
 const HIGH: RGBColor = RGBColor(214, 39, 40);
 
-/// Width and height of `path.svg` and `path.png`, px.
-const PAGE: (u32, u32) = (760, 800);
-/// Width and height beside others, px.
-const PANEL: (u32, u32) = (440, 440);
 /// An obstacle that goes no further stands: what the wire's widths leave, and more.
 const STILL: f64 = 1e-3;
 /// Greys that tell blockage probabilities apart.
 const GREYS: f64 = 21.0;
 
-/// Makes the font known to the plotting library, once.
-pub(super) fn font() -> Result<()> {
-    static FONT: std::sync::OnceLock<bool> = std::sync::OnceLock::new();
-    let known = *FONT.get_or_init(|| {
-        plotters::style::register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).is_ok()
-    });
-    if known { Ok(()) } else { Err(anyhow!("the built-in font is not a font")) }
+/// A flight to draw.
+#[derive(Debug, Clone)]
+pub struct FlightPath<'a> {
+    /// Over the picture.
+    pub title: String,
+    /// The flight.
+    pub records: &'a [Record],
+    /// Where it took place.
+    pub scenario: &'a Scenario,
+    /// Width and height, px: [`FlightPath::ALONE`] or [`FlightPath::PANEL`].
+    pub size: (u32, u32),
 }
 
-/// Draws the flight as `path.svg` and `path.png` in `dir`.
-pub fn path(dir: &Path, title: &str, records: &[Record], scenario: &Scenario) -> Result<()> {
-    let path = dir.join("path.svg");
-    let text = plot::svg(PAGE, |area| draw(area, title, records, scenario))?;
-    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
-    plot::png(&dir.join("path.png"), PAGE, |area| draw(area, title, records, scenario))
+impl FlightPath<'_> {
+    /// A picture of its own.
+    pub const ALONE: (u32, u32) = (760, 800);
+    /// One beside others.
+    pub const PANEL: (u32, u32) = (440, 440);
 }
 
-/// The flight as the text of an SVG picture, to stand beside others.
-pub fn path_svg(title: &str, records: &[Record], scenario: &Scenario) -> Result<String> {
-    plot::svg(PANEL, |area| draw(area, title, records, scenario))
-}
+impl Figure for FlightPath<'_> {
+    fn size(&self) -> (u32, u32) {
+        self.size
+    }
 
-/// Flights of one scenario beside each other, `NAME.svg` and `NAME.png` in `dir`.
-pub fn paths(dir: &Path, name: &str, flights: &[(String, Vec<Record>)], scenario: &Scenario) -> Result<()> {
-    let columns = flights.len().clamp(1, 4);
-    let cells = (flights.len().div_ceil(columns).max(1), columns);
-    let size = (PANEL.0 * cells.1 as u32, PANEL.1 * cells.0 as u32);
-    let path = dir.join(format!("{name}.svg"));
-    let text = plot::svg(size, |area| draw_all(area, cells, flights, scenario))?;
-    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
-    plot::png(&dir.join(format!("{name}.png")), size, |area| draw_all(area, cells, flights, scenario))
-}
-
-fn draw_all<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    cells: (usize, usize),
-    flights: &[(String, Vec<Record>)],
-    scenario: &Scenario,
-) -> Result<()> {
-    let areas = area.split_evenly(cells);
-    areas.iter().zip(flights).try_for_each(|(cell, (title, records))| draw(cell, title, records, scenario))
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String> {
+        draw(area, &self.title, self.records, self.scenario)
+    }
 }
 
 fn draw<B: DrawingBackend>(
@@ -79,8 +58,8 @@ fn draw<B: DrawingBackend>(
     title: &str,
     records: &[Record],
     scenario: &Scenario,
-) -> Result<()> {
-    let failed = |e: DrawingAreaErrorKind<B::ErrorType>| anyhow!("{e}");
+) -> Result<(), String> {
+    let failed = |e: DrawingAreaErrorKind<B::ErrorType>| e.to_string();
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
         .margin(12)

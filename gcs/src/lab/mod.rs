@@ -6,10 +6,8 @@ pub mod episodes;
 pub mod figures;
 pub mod optimise;
 pub mod parquet;
-pub mod plot;
 pub mod report;
 pub mod run;
-pub mod stats;
 pub mod sweep;
 
 use std::sync::Arc;

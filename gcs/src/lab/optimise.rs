@@ -11,9 +11,11 @@ use crpl_model::planning::objective::{Estimate, Limits};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files::write_whole;
+use crpl_sitl::program::progress;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::presets;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
 use crate::lab::check::{self, ConstraintCheck};
@@ -64,7 +66,7 @@ struct Saved {
 struct Sheet<'a> {
     scenario: &'a Scenario,
     seed: u64,
-    revision: String,
+    revision: &'static str,
     config: &'a OptimiseConfig,
     outcome: &'a Outcome,
     /// Both chance constraints as closed-loop flights measure them.
@@ -114,7 +116,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         &Sheet {
             scenario: &scenario,
             seed: args.seed,
-            revision: crpl_sitl::program::revision(),
+            revision: crate::revision(),
             config: &config,
             outcome: &outcome,
             flown: &flown,
@@ -235,11 +237,7 @@ struct Show {
 
 impl Show {
     fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&Progress>) -> Self {
-        let bar = ProgressBar::new(algorithm1::total_iterations(config) as u64);
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of {duration}  {msg}")
-        {
-            bar.set_style(style);
-        }
+        let bar = progress::bar("iterations", algorithm1::total_iterations(config) as u64);
         bar.set_position(begun.map_or(0, |p| p.iterations(config)) as u64);
         Self { bar, saved, run, last: None }
     }
@@ -274,10 +272,7 @@ impl Watch for Show {
         let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", self.saved.display()));
         self.run.progress = Some(progress.clone());
         let text = serde_json::to_string(&self.run).map_err(|e| failed(e.to_string()))?;
-        // Written aside and renamed, so that an interruption leaves the old or the new file whole.
-        let aside = self.saved.with_extension("tmp");
-        std::fs::write(&aside, text).map_err(|e| failed(e.to_string()))?;
-        std::fs::rename(&aside, &self.saved).map_err(|e| failed(e.to_string()))
+        write_whole(&self.saved, text.as_bytes()).map_err(|e| failed(e.to_string()))
     }
 
     fn compared(&mut self, c: &Comparison) {

@@ -5,6 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use crpl_model::evaluation::chart;
+use crpl_model::numeric::statistics::quantile;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
@@ -12,7 +14,7 @@ use crpl_sitl::sim::record::Record;
 use serde::Serialize;
 
 use crate::flight::{Ended, Flight};
-use crate::lab::figures;
+use crate::lab::figures::FlightPath;
 use crate::station::Station;
 use crate::station::pilot::Controller;
 
@@ -59,12 +61,7 @@ impl Summary {
     pub fn of(controller: Controller, seed: Option<u64>, station: &Station, flight: &Flight) -> Option<Self> {
         let scenario = station.scenario();
         let score = station.score()?;
-        let mut sorted = flight.latencies_us.clone();
-        sorted.sort_by(f64::total_cmp);
-        let at = |q: f64| {
-            let rank = (q * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.saturating_sub(1)).map_or(f64::NAN, |us| us / 1e3)
-        };
+        let at = |p: f64| quantile(&flight.latencies_us, p) / 1e3;
         let simulated = score.ticks as f64 * scenario.scale.interval_s;
         Some(Self {
             controller,
@@ -87,7 +84,7 @@ impl Summary {
 struct Provenance<'a> {
     controller: Controller,
     seed: Option<u64>,
-    revision: String,
+    revision: &'static str,
     version: &'static str,
     command: Vec<String>,
     summary: &'a Summary,
@@ -107,11 +104,12 @@ pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenari
     write_records(&dir.join("record.jsonl"), records)?;
     let d_f = summary.score[Metric::TerminalDistance];
     let title = format!("{}, {}, d_f {d_f:.3}", summary.controller, scenario.name);
-    figures::path(dir, &title, records, scenario)?;
+    let path = FlightPath { title, records, scenario, size: FlightPath::ALONE };
+    chart::save(&path, dir, "path")?;
     let provenance = Provenance {
         controller: summary.controller,
         seed: summary.seed,
-        revision: crpl_sitl::program::revision(),
+        revision: crate::revision(),
         version: env!("CARGO_PKG_VERSION"),
         command: std::env::args().collect(),
         summary,

@@ -104,15 +104,6 @@ pub fn effective_rank<const N: usize>(z: &[[f32; N]]) -> f64 {
     (-shares.map(|p| p * p.ln()).sum::<f64>()).exp()
 }
 
-/// Quantile `p` in [0, 1] of `values`, by the nearest rank; NaN of nothing.
-#[must_use]
-pub fn quantile(values: &[f64], p: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let at = (p * (sorted.len().max(1) - 1) as f64).round() as usize;
-    sorted.get(at).copied().unwrap_or(f64::NAN)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

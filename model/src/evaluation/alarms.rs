@@ -13,9 +13,10 @@ use nalgebra::{DMatrix, Vector2};
 use serde::{Deserialize, Serialize};
 
 use crate::encoder::infer::Latent;
-use crate::encoder::probe::{quantile, r_squared};
+use crate::encoder::probe::r_squared;
 use crate::encoder::weights::{LATENT, vector};
 use crate::heads::labels::{self, Scene};
+use crate::numeric::statistics::quantile;
 use crate::training::lens::{Lenses, Shot};
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{self, Start};

@@ -9,7 +9,7 @@ use crate::predictor::networks::{PREDICTORS, Predictors};
 use crate::world_model::{WorldModel, checkpoint};
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
-use indicatif::{ProgressBar, ProgressStyle};
+use crpl_sitl::program::progress;
 
 /// Flags of `model evaluate`.
 #[derive(Debug, clap::Args)]
@@ -47,10 +47,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         window: args.window as usize,
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
-    let bar = ProgressBar::new(Start::ALL.len() as u64 * args.trajectories);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} trajectories {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = progress::bar("rollouts", Start::ALL.len() as u64 * args.trajectories);
     let measured = report::measure(&model, &networks, &config, &Scenario::default(), || bar.inc(1));
     bar.finish_and_clear();
     figures::draw(&measured, &args.out)?;
@@ -58,7 +55,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         "config": config,
         "world_model": checkpoint::fingerprint(&model)?,
         "checkpoint": args.checkpoint,
-        "revision": crpl_sitl::program::revision(),
+        "revision": crate::revision(),
         "command": std::env::args().collect::<Vec<_>>(),
         "intervals": "95 %: Wilson for shares, order statistics for quantiles, bootstrap for heads",
     });

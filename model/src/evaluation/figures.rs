@@ -3,14 +3,18 @@
 
 use std::path::Path;
 
-use crate::encoder::probe::quantile;
-use crate::evaluation::chart::{self, Chart, PlotError, Series, Style};
+use crate::evaluation::chart::{self, Chart, Legend, PlotError, Series, Style};
 use crate::evaluation::report::Measured;
 use crate::evaluation::rollout::{Errors, LONGEST, Name, Start};
+use crate::numeric::statistics::quantile;
 
 /// The predictors of Fig. 3, and what Sec. IV-B reports for H = 100: P(≤ 1 px), p90 in px.
 const PAPER: [(Name, &str, f64, f64); 3] =
     [(Name::Linear, "linear", 0.93, 0.82), (Name::Mlp, "MLP", 0.84, 1.08), (Name::Lstm, "LSTM", 0.68, 1.28)];
+
+/// Colours of three series that are compared, and of what they are held against.
+const HUES: [usize; 3] = [0, 3, 1];
+const GREY: usize = 7;
 
 /// Draws `fig3a`, `fig3b`, `moving` and `reliability` as SVG and PNG in `dir`.
 pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
@@ -35,7 +39,7 @@ fn shares(errors: &[Vec<f64>], px: f64) -> Vec<(f64, f64)> {
 /// Fig. 3(a): share of rollouts from rest within 1 and 5 px over the look-ahead.
 fn within(measured: &Measured) -> Chart {
     let mut series = Vec::new();
-    for (colour, (name, word, p1, _)) in PAPER.into_iter().enumerate() {
+    for (colour, (name, word, p1, _)) in HUES.into_iter().zip(PAPER) {
         let e = errors(measured, name, Start::Rest);
         series.push(Series::line(format!("{word}, 1 px"), colour, shares(e, 1.0)));
         series.push(Series::line(format!("{word}, 5 px"), colour, shares(e, 5.0)).styled(Style::Dashed));
@@ -48,7 +52,7 @@ fn within(measured: &Measured) -> Chart {
         y: "share".into(),
         x_range: Some([0.0, 103.0]),
         y_range: Some([0.0, 1.02]),
-        legend_left: true,
+        legend: Legend::LowerLeft,
         series,
         ..Chart::default()
     }
@@ -57,14 +61,14 @@ fn within(measured: &Measured) -> Chart {
 /// Fig. 3(b): distribution of the error after 1 and after 100 steps from rest.
 fn distribution(measured: &Measured) -> Chart {
     let mut series = Vec::new();
-    for (colour, (name, word, _, p90)) in PAPER.into_iter().enumerate() {
+    for (colour, (name, word, _, p90)) in HUES.into_iter().zip(PAPER) {
         let e = errors(measured, name, Start::Rest);
         series.push(Series::line(format!("{word}, H = 100"), colour, cdf(e, LONGEST)));
         series.push(Series::line(format!("{word}, H = 1"), colour, cdf(e, 1)).styled(Style::Dashed));
         let theirs = vec![(p90, 0.9)];
         series.push(Series::line(format!("{word}, H = 100, paper"), colour, theirs).styled(Style::Cross));
     }
-    series.push(Series::line("all, H = 1, paper", 5, vec![(0.2, 0.9)]).styled(Style::Cross));
+    series.push(Series::line("all, H = 1, paper", GREY, vec![(0.2, 0.9)]).styled(Style::Cross));
     Chart {
         title: "Fig. 3(b): error after 1 and after 100 steps from rest".into(),
         x: "l1 error, px (logarithmic)".into(),
@@ -90,7 +94,7 @@ fn moving(measured: &Measured) -> Chart {
         (Name::Observer, "linear, observer"),
         (Name::ConstantVelocity, "constant velocity"),
     ];
-    let series = named.into_iter().enumerate().map(|(colour, (name, word))| {
+    let series = HUES.into_iter().zip(named).map(|(colour, (name, word))| {
         let e: &Errors = &errors(measured, name, Start::Moving).to_vec();
         Series::line(word, colour, shares(e, 1.0))
     });
@@ -114,7 +118,7 @@ fn reliability(measured: &Measured) -> Chart {
         x_range: Some([0.0, 1.0]),
         y_range: Some([0.0, 1.0]),
         series: vec![
-            Series::line("perfect", 5, vec![(0.0, 0.0), (1.0, 1.0)]).styled(Style::Dashed),
+            Series::line("perfect", GREY, vec![(0.0, 0.0), (1.0, 1.0)]).styled(Style::Dashed),
             Series::line("ten bins", 0, bins).styled(Style::Dot),
         ],
         ..Chart::default()

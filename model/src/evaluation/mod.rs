@@ -8,7 +8,6 @@ pub mod chart;
 #[cfg(feature = "train")]
 pub mod command;
 pub mod figures;
-pub mod intervals;
 pub mod report;
 pub mod robustness;
 pub mod rollout;
@@ -20,9 +19,10 @@ use nalgebra::Vector2;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
-use crate::encoder::probe::{quantile, r_squared};
+use crate::encoder::probe::r_squared;
 use crate::encoder::weights::{LATENT, vector};
 use crate::heads::labels::{self, HeadsConfig, Scene, Station, auc, calibration_error};
+use crate::numeric::statistics::quantile;
 use crate::training::closed_form::Check;
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{self, EDGE_BAND, Episode, Start};

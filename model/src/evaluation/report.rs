@@ -6,13 +6,13 @@ use nalgebra::Vector2;
 use rand::seq::SliceRandom;
 use serde::Serialize;
 
-use crate::encoder::probe::{effective_rank, quantile, r_squared};
+use crate::encoder::probe::{effective_rank, r_squared};
 use crate::encoder::weights::vector;
-use crate::evaluation::intervals::{Interval, bootstrap, of_quantile};
 use crate::evaluation::robustness::{self, HardRow};
 use crate::evaluation::rollout::{self, Errors, HORIZONS, Known, LONGEST, Name, Row, Start, Trajectory};
 use crate::evaluation::{Judged, decoded, judged};
 use crate::heads::labels::{self, Scene, Station, auc, calibration_error};
+use crate::numeric::statistics::{Interval, bootstrap, of_quantile, quantile};
 use crate::predictor::networks::Predictors;
 use crate::world_model::WorldModel;
 

@@ -14,9 +14,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::encoder::infer::Latent;
-use crate::encoder::probe::quantile;
 use crate::encoder::weights::vector;
 use crate::heads::labels::{self, Scene};
+use crate::numeric::statistics::quantile;
 use crate::training::lens::{Lens, Lenses, MIXED, Shot};
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{EDGE_BAND, OBSTACLE_SPEED, START_SPEED};

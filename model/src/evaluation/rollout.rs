@@ -12,8 +12,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::encoder::probe::quantile;
-use crate::evaluation::intervals::{self, Interval};
+use crate::numeric::statistics::{Interval, of_quantile, quantile, wilson};
 use crate::predictor::networks::{Begin, Predictors};
 use crate::predictor::observer::{Observer, Seen};
 use crate::world_model::WorldModel;
@@ -305,7 +304,7 @@ impl Row {
         let n = at.len().max(1);
         let hits = |px: f64| at.iter().filter(|e| **e <= px).count();
         let share = |px: f64| hits(px) as f64 / n as f64;
-        let wilson = |px: f64| intervals::wilson(hits(px), n);
+        let ci = |px: f64| wilson(hits(px), n);
         Self {
             predictor,
             start,
@@ -314,12 +313,7 @@ impl Row {
             p1: share(1.0),
             p5: share(5.0),
             p90_px: quantile(&at, 0.9),
-            ci: RowIntervals {
-                p02: wilson(0.2),
-                p1: wilson(1.0),
-                p5: wilson(5.0),
-                p90_px: intervals::of_quantile(&at, 0.9),
-            },
+            ci: RowIntervals { p02: ci(0.2), p1: ci(1.0), p5: ci(5.0), p90_px: of_quantile(&at, 0.9) },
         }
     }
 }

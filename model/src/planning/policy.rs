@@ -85,6 +85,12 @@ pub enum PolicyError {
     },
 }
 
+/// Names and bytes of the policies that ship with the program: Scenario 1's, Scenario 2's.
+pub const SHIPPED: [(&str, &[u8]); 2] = [
+    ("pretrained/policy_s1.safetensors", include_bytes!("../../pretrained/policy_s1.safetensors")),
+    ("pretrained/policy_s2.safetensors", include_bytes!("../../pretrained/policy_s2.safetensors")),
+];
+
 impl Policies {
     /// Untrained policies: weights N(0, 1/inputs), the last layer a hundredth of that, biases 0,
     /// but for π_p's last, which leans to low power by ±½.
@@ -112,19 +118,9 @@ impl Policies {
 
     /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
     pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
-        let (path, bytes) = match scenario {
-            1 => (
-                "pretrained/policy_s1.safetensors",
-                include_bytes!("../../pretrained/policy_s1.safetensors").as_slice(),
-            ),
-            2 => (
-                "pretrained/policy_s2.safetensors",
-                include_bytes!("../../pretrained/policy_s2.safetensors").as_slice(),
-            ),
-            other => {
-                let message = format!("no policy ships for scenario {other}");
-                return Err(PolicyError::Content { path: "pretrained".into(), message });
-            }
+        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(n)) else {
+            let message = format!("no policy ships for scenario {scenario}");
+            return Err(PolicyError::Content { path: "pretrained".into(), message });
         };
         Self::from_bytes(bytes).map_err(|message| PolicyError::Content { path: path.into(), message })
     }

@@ -128,7 +128,7 @@ pub fn uncontrollable(
         }
         (w, eigenvalues) = slowest(square, &root)?;
         let residual: Vec<f64> = (&d * &w).row_iter().map(|r| r.norm_squared()).collect();
-        let limit = crate::encoder::probe::quantile(&residual, config.keep);
+        let limit = crate::numeric::statistics::quantile(&residual, config.keep);
         kept = (0..residual.len()).filter(|&n| residual[n] <= limit).collect();
     }
     // The eigenvectors are free to turn and to flip in their plane. Features 0 and 1 fix both, so that

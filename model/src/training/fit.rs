@@ -2,9 +2,10 @@
 //! predictors, probe, risk and channel heads. Knows no order and no files; `train` puts them together.
 
 use crpl_sitl::camera::Frame;
+use crpl_sitl::program::progress;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
@@ -14,6 +15,7 @@ use crate::encoder::probe::{self, Probe};
 use crate::encoder::weights::{self, LATENT, Weights, vector};
 use crate::heads::labels::{self, Scene, Station};
 use crate::heads::networks::Heads;
+use crate::numeric::statistics::quantile;
 use crate::predictor::linear::{self, Half, Linear};
 use crate::training::closed_form::{self, Check, FitError, Triples};
 use crate::training::gradient::Data;
@@ -59,15 +61,8 @@ impl Setting<'_> {
     /// A progress bar of `length` steps.
     #[must_use]
     pub fn bar(&self, name: &'static str, length: usize) -> ProgressBar {
-        if self.bars { bar(name, length) } else { ProgressBar::hidden() }
+        if self.bars { progress::bar(name, length as u64) } else { ProgressBar::hidden() }
     }
-}
-
-/// A progress bar of `length` steps.
-pub(crate) fn bar(name: &'static str, length: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{prefix:>10} {bar:40} {pos}/{len} {eta} left  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(length as u64).with_style(style).with_prefix(name)
 }
 
 /// The triples of both sets: long and short lags.
@@ -193,7 +188,7 @@ pub fn fit_predictor(setting: &Setting<'_>, encoder: &Encoder) -> Option<Linear>
 /// The windows of z_u that constant velocity explains best: the others hit a wall.
 fn without_bounces(windows: Vec<linear::Window>, keep: f64) -> Vec<linear::Window> {
     let size = |z: &[Half; 3]| (z[2] - z[1] * 2.0 + z[0]).norm_squared();
-    let limit = probe::quantile(&windows.iter().map(|(z, _)| size(z)).collect::<Vec<_>>(), keep);
+    let limit = quantile(&windows.iter().map(|(z, _)| size(z)).collect::<Vec<_>>(), keep);
     windows.into_iter().filter(|(z, _)| size(z) <= limit).collect()
 }
 

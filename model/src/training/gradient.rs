@@ -355,7 +355,7 @@ pub fn calibrated(mut weights: Weights, frames: &[Frame]) -> Weights {
         .collect();
     for (k, channel) in weights::Colour::CHANNELS.into_iter().enumerate() {
         let own: Vec<f64> = masses.iter().map(|m| m[k]).collect();
-        let median = crate::encoder::probe::quantile(&own, 0.5);
+        let median = crate::numeric::statistics::quantile(&own, 0.5);
         if median > 0.0 {
             weights.input.whole_mass[channel] = median as f32;
         }

@@ -5,8 +5,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::encoder::module::values;
-use crate::encoder::probe::quantile;
 use crate::encoder::weights::{LATENT, Layer};
+use crate::numeric::statistics::quantile;
 use crate::training::stages::{Gradient, Loss};
 
 /// E_c, E_u and S as tensors.

@@ -13,12 +13,12 @@ use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
-use crate::encoder::probe::quantile;
 use crate::encoder::weights::vector;
 use crate::evaluation::chart::{self, Chart, PlotError, Series};
 use crate::numeric::adam::Adam;
 use crate::numeric::kernel::{LANES, Lane, ZERO};
 use crate::numeric::mlp::{Dense, Mlp};
+use crate::numeric::statistics::quantile;
 use crate::predictor::backprop::{self, Block};
 use crate::predictor::networks::{Begin, Cell, INPUTS, Lstm, NetworksConfig, Predictor, Predictors, Scaling};
 use crate::world_model::WorldModel;
@@ -284,12 +284,12 @@ pub fn publish(trained: &Trained, dir: &Path) -> Result<(), PlotError> {
     trained.predictors.save(dir).map_err(failed)?;
     let mut text = String::from("network,step,horizon,loss,held_out_p90_px\n");
     let mut series = Vec::new();
-    for (k, (name, curve)) in NAMES.iter().zip(&trained.curves).enumerate() {
+    for (colour, (name, curve)) in [0, 3].into_iter().zip(NAMES.iter().zip(&trained.curves)) {
         for p in curve {
             text += &format!("{name},{},{},{:e},{:.4}\n", p.step, p.horizon, p.loss, p.held_out_px);
         }
         let points = curve.iter().map(|p| (p.step as f64, p.held_out_px)).collect();
-        series.push(Series::line(*name, k, points));
+        series.push(Series::line(*name, colour, points));
     }
     checkpoint::write_all(&dir.join("predictors_loss.csv"), text.as_bytes()).map_err(failed)?;
     let chart = Chart {

@@ -8,6 +8,7 @@
 
 use std::path::PathBuf;
 
+use crpl_sitl::program::progress;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
@@ -108,7 +109,7 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// The whole recipe. Writes the checkpoint and returns it with the alarms' figures.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), TrainError> {
     config.check()?;
-    let revision = crpl_sitl::program::revision();
+    let revision = crate::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let identity = serde_json::json!({ "config": config, "backend": run.backend, "data": run.data });
@@ -169,7 +170,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
             kept.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
         predictors::publish(&trained, &dir)?;
     }
-    let card = card_text(&model, &figures, &alarms, &revision, run.stopwatch);
+    let card = card_text(&model, &figures, &alarms, revision, run.stopwatch);
     checkpoint::write_all(&dir.join(CARD), card.as_bytes())?;
     if !alarms.is_empty() {
         kept.remove()?;
@@ -183,7 +184,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
 pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let NetworksConfig { short_steps, mlp_steps, lstm_steps, .. } = config.networks;
-    let bar = fit::bar("networks", 2 * short_steps + mlp_steps + lstm_steps);
+    let bar = progress::bar("networks", (2 * short_steps + mlp_steps + lstm_steps) as u64);
     let (networks, steps) = (&config.networks, config.data.steps);
     let trained = predictors::train(model, networks, steps, &scenario, &noise, || bar.inc(1))?;
     bar.finish();

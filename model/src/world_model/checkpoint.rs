@@ -6,6 +6,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use crpl_sitl::program::files::{self, write_whole};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
@@ -123,10 +124,7 @@ pub fn save(model: &WorldModel, dir: &Path) -> Result<(), CheckpointError> {
 
 /// Writes a file in one go: first beside it, then over it, so that Ctrl-C leaves no half of one.
 pub fn write_all(path: &Path, bytes: &[u8]) -> Result<(), CheckpointError> {
-    let beside = path.with_extension("part");
-    std::fs::write(&beside, bytes)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .map_err(|source| CheckpointError::File { path: path.into(), source })
+    write_whole(path, bytes).map_err(|source| CheckpointError::File { path: path.into(), source })
 }
 
 /// Collects named tensors and serialises them in a fixed order.
@@ -338,10 +336,7 @@ pub fn get_weights(from: &Reader<'_>) -> Result<Weights, CheckpointError> {
 
 /// A name for the learned numbers, equal for equal weights: FNV-1a over the tensors' bytes.
 pub fn fingerprint(model: &WorldModel) -> Result<String, CheckpointError> {
-    let hash = tensors(model)?.into_iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    });
-    Ok(format!("{hash:016x}"))
+    Ok(files::fingerprint(&tensors(model)?))
 }
 
 fn tensors(model: &WorldModel) -> Result<Vec<u8>, CheckpointError> {

@@ -5,16 +5,17 @@
 //! | [`terminal`] | what `sitl`, `gcs` and `model` share: flags, log, output, errors, exit codes, signals |
 //! | [`renamed`] | words of the command line that have changed |
 //! | [`cli`] | flags to a running vehicle |
+//! | [`files`] | files that are whole or absent |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
+//! | [`progress`] | progress bars |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
 pub mod cli;
+pub mod files;
 pub mod fleet;
+pub mod progress;
 pub mod renamed;
-mod revision;
 pub mod shell;
 pub mod terminal;
 pub mod timing;
-
-pub use revision::revision;

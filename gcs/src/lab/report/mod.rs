@@ -13,9 +13,9 @@ pub mod sweeps;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use crpl_model::evaluation::chart;
 use plotters::style::RGBColor;
 
-use crate::lab::plot::COLOURS;
 use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
 use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
@@ -77,14 +77,9 @@ impl Claim {
     }
 }
 
-/// Colour of the nth controller.
-fn colour(n: usize) -> RGBColor {
-    COLOURS[n % COLOURS.len()]
-}
-
 /// Colour of the nth controller for a style sheet.
 fn rgb(n: usize) -> String {
-    let RGBColor(r, g, b) = colour(n);
+    let RGBColor(r, g, b) = chart::colour(n);
     format!("rgb({r},{g},{b})")
 }
 
@@ -116,11 +111,7 @@ pub fn run(args: &Report) -> Result<()> {
             all_sweeps(&mut page, &out, &models, args)?;
         }
     }
-    page.text(&format!(
-        "Made by gcs {} at revision {}.",
-        env!("CARGO_PKG_VERSION"),
-        crpl_sitl::program::revision()
-    ));
+    page.text(&format!("Made by gcs {} at revision {}.", env!("CARGO_PKG_VERSION"), crate::revision()));
     let path = out.join("index.html");
     std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))?;
     println!("{}, with figures and tables beside it", path.display());

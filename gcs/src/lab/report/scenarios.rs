@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series};
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{self, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
@@ -11,9 +12,9 @@ use crpl_sitl::units::{Snr, TxPower};
 use rayon::prelude::*;
 
 use super::page::Page;
-use super::{Claim, colour, rgb};
-use crate::lab::plot::{self, Curve, Panel};
-use crate::lab::{Contender, figures};
+use super::{Claim, rgb};
+use crate::lab::Contender;
+use crate::lab::figures::FlightPath;
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -207,25 +208,20 @@ impl Flown {
     }
 
     /// SNR and collision probability over time.
-    fn panels(&self) -> Vec<Panel> {
-        let panel = |title: &str, of: &dyn Fn(&Record) -> (f64, f64), level: (&str, f64)| Panel {
+    fn panels(&self) -> Vec<Chart> {
+        let panel = |title: &str, of: &dyn Fn(&Record) -> (f64, f64), level: (&str, f64)| Chart {
             title: format!("Scenario {}: {title}", self.number),
             x: "control interval k".into(),
-            curves: self
+            series: self
                 .flights
                 .iter()
                 .enumerate()
-                .map(|(n, flight)| Curve {
-                    name: flight.controller.to_string(),
-                    colour: colour(n),
-                    points: flight.records.iter().map(of).collect(),
-                    band: Vec::new(),
-                    dots: false,
-                })
+                .map(|(n, f)| Series::line(f.controller.to_string(), n, f.records.iter().map(of).collect()))
                 .collect(),
             levels: vec![(level.0.into(), level.1)],
-            marks: Vec::new(),
-            legend: true,
+            legend: Legend::UpperRight,
+            panel: true,
+            ..Chart::default()
         };
         let least = Snr(self.scenario.channel.snr_min).to_db();
         vec![
@@ -247,21 +243,21 @@ impl Flown {
              power, red is high. k counts control intervals.",
         );
         page.claims(&self.claims());
-        let titled: Vec<(String, Vec<Record>)> =
-            self.flights.iter().map(|f| (f.controller.to_string(), f.records.clone())).collect();
-        let paths: Vec<(String, String)> = titled
+        let paths = self.flights.iter().map(|f| FlightPath {
+            title: f.controller.to_string(),
+            records: &f.records,
+            scenario: &self.scenario,
+            size: FlightPath::PANEL,
+        });
+        let paths: Vec<FlightPath<'_>> = paths.collect();
+        let svgs: Vec<(String, String)> = paths
             .iter()
-            .map(|(title, records)| {
-                Ok((
-                    figures::path_svg(title, records, &self.scenario)?,
-                    format!("{title}, Scenario {number}"),
-                ))
-            })
+            .map(|path| Ok((chart::svg(path)?, format!("{}, Scenario {number}", path.title))))
             .collect::<Result<_>>()?;
-        page.figures(&paths);
+        page.figures(&svgs);
         let panels = self.panels();
         let svgs: Vec<(String, String)> =
-            panels.iter().map(|p| Ok((p.svg()?, p.title.clone()))).collect::<Result<_>>()?;
+            panels.iter().map(|p| Ok((chart::svg(p)?, p.title.clone()))).collect::<Result<_>>()?;
         page.key(
             &self
                 .flights
@@ -272,8 +268,8 @@ impl Flown {
         );
         page.figures(&svgs);
         page.table(&head(), &self.rows());
-        figures::paths(dir, &format!("scenario{number}_paths"), &titled, &self.scenario)?;
-        plot::save(dir, &format!("scenario{number}_snr_risk"), &panels, 2)?;
+        chart::save(&Grid { figures: &paths, columns: 4 }, dir, &format!("scenario{number}_paths"))?;
+        chart::save(&Grid { figures: &panels, columns: 2 }, dir, &format!("scenario{number}_snr_risk"))?;
         let path = dir.join(format!("scenario{number}.csv"));
         std::fs::write(&path, self.csv()).with_context(|| format!("writing {}", path.display()))
     }

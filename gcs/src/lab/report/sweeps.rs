@@ -4,16 +4,16 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series, Style};
 use crpl_sitl::sim::metric::Metric;
 
 use super::page::Page;
-use super::{Claim, colour, rgb};
-use crate::lab::plot::{self, Curve, Panel};
-use crate::lab::stats::Mean;
+use super::{Claim, rgb};
 use crate::lab::sweep::episode::Episode;
 use crate::lab::sweep::folder::Folder;
 use crate::lab::sweep::table::{self, Row};
 use crate::station::pilot::Controller;
+use crpl_model::numeric::statistics::Mean;
 
 /// What the paper says of one controller over CRPL at one point.
 struct Said {
@@ -131,11 +131,11 @@ impl Finished {
 
     /// The five panels.
     #[must_use]
-    pub fn panels(&self) -> Vec<Panel> {
+    pub fn panels(&self) -> Vec<Chart> {
         Metric::ALL.map(|metric| self.panel(metric)).to_vec()
     }
 
-    fn panel(&self, metric: Metric) -> Panel {
+    fn panel(&self, metric: Metric) -> Chart {
         let plan = &self.folder.plan;
         let curve = |(n, controller): (usize, &Controller)| {
             let rows: Vec<(f64, _)> = plan
@@ -143,27 +143,25 @@ impl Finished {
                 .iter()
                 .filter_map(|x| Some((*x, self.row(*x, *controller)?.means[metric])))
                 .collect();
-            Curve {
-                name: controller.to_string(),
-                colour: colour(n),
-                points: rows.iter().map(|(x, m)| (*x, m.mean)).collect(),
-                band: rows.iter().map(|(x, m)| (*x, m.ci[0], m.ci[1])).collect(),
-                dots: true,
-            }
+            let points = rows.iter().map(|(x, m)| (*x, m.mean)).collect();
+            let band = rows.iter().map(|(x, m)| (*x, m.ci[0], m.ci[1])).collect();
+            Series { band, ..Series::line(controller.to_string(), n, points).styled(Style::Dotted) }
         };
         let marks =
             SAID.iter().filter(|said| said.sweep == plan.name && said.metric == metric).filter_map(|said| {
                 let n = plan.controllers.iter().position(|c| *c == said.controller)?;
                 let crpl = self.row(said.x, Controller::Crpl)?.means[metric].mean;
-                Some((colour(n), said.x, said.paper * crpl.max(metric.floor())))
+                let at = (said.x, said.paper * crpl.max(metric.floor()));
+                Some(Series::line("", n, vec![at]).styled(Style::Hollow))
             });
-        Panel {
+        let curves = plan.controllers.iter().enumerate().map(curve);
+        Chart {
             title: format!("{}, {}", metric.symbol(), metric.title()),
             x: plan.axis.clone(),
-            curves: plan.controllers.iter().enumerate().map(curve).collect(),
-            marks: marks.collect(),
-            legend: metric == Metric::ALL[0],
-            ..Panel::default()
+            series: curves.chain(marks).collect(),
+            legend: if metric == Metric::ALL[0] { Legend::UpperRight } else { Legend::None },
+            panel: true,
+            ..Chart::default()
         }
     }
 
@@ -187,15 +185,15 @@ impl Finished {
         let svgs: Vec<(String, String)> = panels
             .iter()
             .map(|panel| {
-                let paper =
-                    if panel.marks.is_empty() { "" } else { "; hollow: the paper's ratio times our crpl" };
-                Ok((panel.svg()?, format!("{}{paper}", panel.title)))
+                let marked = panel.series.iter().any(|s| s.style == Style::Hollow);
+                let paper = if marked { "; hollow: the paper's ratio times our crpl" } else { "" };
+                Ok((chart::svg(panel)?, format!("{}{paper}", panel.title)))
             })
             .collect::<Result<_>>()?;
         page.figures(&svgs);
         self.tables(page);
         page.folded("The resolved sweep", &toml::to_string(plan)?);
-        plot::save(dir, &plan.name, &panels, 3)?;
+        chart::save(&Grid { figures: &panels, columns: 3 }, dir, &plan.name)?;
         let write = |name: String, text: String| {
             let path = dir.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use crpl_sitl::program::files::write_whole;
 use serde::{Deserialize, Serialize};
 
 use super::episode::{self, Episode};
@@ -19,6 +20,7 @@ use crate::lab::parquet;
 struct Sheet {
     hash: String,
     shard: String,
+    revision: String,
     plan: Plan,
 }
 
@@ -30,6 +32,8 @@ pub struct Folder {
     pub plan: Plan,
     /// Which shard of it.
     pub shard: Shard,
+    /// Revision at which it was begun.
+    revision: String,
 }
 
 /// How far a folder is.
@@ -42,9 +46,10 @@ pub enum Progress {
 }
 
 impl Folder {
-    /// Begins a folder, or resumes one of the same plan and shard.
+    /// Begins a folder, or resumes one of the same plan and shard, at whatever revision it was begun: the plan
+    /// names all that decides the numbers.
     pub fn begin(dir: &Path, plan: Plan, shard: Shard) -> Result<Self> {
-        let folder = Self { dir: dir.into(), plan, shard };
+        let folder = Self { dir: dir.into(), plan, shard, revision: crate::revision().into() };
         if folder.path("sweep.toml").exists() {
             let there = Self::open(dir)?;
             if let Some(difference) = folder.plan.difference(&there.plan)? {
@@ -56,7 +61,7 @@ impl Folder {
             if there.shard != shard {
                 bail!("{} holds shard {}, not {shard}", dir.display(), there.shard);
             }
-            return Ok(folder);
+            return Ok(there);
         }
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
         folder.write_sheet()?;
@@ -74,7 +79,7 @@ impl Folder {
             bail!("{name}: was changed after it was written: its hash is not {}", sheet.hash);
         }
         let shard = sheet.shard.parse().map_err(|e| anyhow::anyhow!("{name}: shard {e}"))?;
-        Ok(Self { dir: dir.into(), plan: sheet.plan, shard })
+        Ok(Self { dir: dir.into(), plan: sheet.plan, shard, revision: sheet.revision })
     }
 
     /// Where it lies.
@@ -157,7 +162,12 @@ impl Folder {
     }
 
     fn sheet(&self) -> Result<String> {
-        let sheet = Sheet { hash: self.plan.hash()?, shard: self.shard.to_string(), plan: self.plan.clone() };
+        let sheet = Sheet {
+            hash: self.plan.hash()?,
+            shard: self.shard.to_string(),
+            revision: self.revision.clone(),
+            plan: self.plan.clone(),
+        };
         Ok(toml::to_string(&sheet)?)
     }
 
@@ -167,9 +177,8 @@ impl Folder {
 
     /// Writes a whole file or none: a reader never sees half of one.
     fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let (path, new) = (self.path(name), self.path(&format!(".{name}.new")));
-        std::fs::write(&new, bytes).with_context(|| format!("writing {}", new.display()))?;
-        std::fs::rename(&new, &path).with_context(|| format!("writing {}", path.display()))
+        let path = self.path(name);
+        write_whole(&path, bytes).with_context(|| format!("writing {}", path.display()))
     }
 
     fn part(&self) -> PathBuf {
@@ -178,5 +187,29 @@ impl Folder {
 
     fn path(&self, name: &str) -> PathBuf {
         self.dir.join(name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lab::sweep::plan::{Overrides, SweepFile};
+
+    #[test]
+    fn a_sweep_goes_on_at_another_revision_of_the_same_code_only() {
+        let file = "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5]\ncontrollers = [\"rcc\"]\n";
+        let file = SweepFile::parse(file).unwrap();
+        let plan = file.resolve(&Overrides::default(), "w".into(), "p".into()).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let begin = |plan: &Plan| Folder::begin(dir.path(), plan.clone(), Shard::WHOLE);
+        begin(&plan).unwrap();
+        let path = dir.path().join("sweep.toml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replace(crate::revision(), "another")).unwrap();
+        let folder = begin(&plan).unwrap();
+        assert!(folder.sheet().unwrap().contains("revision = \"another\""));
+        let other = Plan { code: "another".into(), ..plan };
+        let error = begin(&other).unwrap_err().to_string();
+        assert!(error.contains("holds another sweep: code = \"another\""), "{error}");
     }
 }

@@ -23,15 +23,15 @@ pub mod merge;
 pub mod plan;
 pub mod table;
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
+use crpl_model::planning::policy::SHIPPED;
 use crpl_model::world_model::checkpoint;
-use crpl_sitl::program::terminal;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use crpl_sitl::program::files::fingerprint;
+use crpl_sitl::program::{progress, terminal};
 use rayon::prelude::*;
 
 use crate::lab::Contender;
@@ -100,13 +100,10 @@ pub fn run(args: &Sweep) -> Result<()> {
 /// The plan of a file, with the trained things that will fly it.
 pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<Plan> {
     let policy = match &models.policy {
-        Some(path) => {
-            let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
-            plan::fingerprint(&bytes)
-        }
-        None => "shipped".into(),
+        Some(path) => std::fs::read(path).with_context(|| format!("reading {}", path.display()))?,
+        None => SHIPPED.map(|(_, bytes)| bytes).concat(),
     };
-    file.resolve(flags, checkpoint::fingerprint(&models.world)?, policy)
+    file.resolve(flags, checkpoint::fingerprint(&models.world)?, fingerprint(&policy))
 }
 
 fn default_folder(name: &str, shard: Shard) -> PathBuf {
@@ -155,7 +152,7 @@ fn fly(
         done.iter().map(|e| (e.x.to_bits(), e.controller, e.seed)).collect();
     units.retain(|((x, contender), seed)| !is_done.contains(&(x.to_bits(), contender.controller, *seed)));
 
-    let bar = progress_bar(total as u64, &plan.name);
+    let bar = progress::bar(plan.name.clone(), total as u64);
     bar.inc((total - units.len()) as u64);
     bar.reset_eta();
     let flown: Result<Vec<Option<Episode>>> = units
@@ -181,19 +178,6 @@ fn fly(
         );
     }
     Ok(flown)
-}
-
-fn progress_bar(length: u64, name: &str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    let template =
-        format!("{name} {{bar:30}} {{pos}}/{{len}} flights, {{per_sec}}, {{elapsed}}, {{eta}} left");
-    if let Ok(style) = ProgressStyle::with_template(&template) {
-        bar.set_style(style);
-    }
-    bar
 }
 
 /// Becomes true at the first Ctrl-C or SIGTERM: flights in the air are finished, no new one starts.

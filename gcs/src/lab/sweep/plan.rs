@@ -9,6 +9,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files::fingerprint;
 use crpl_sitl::scenario::new_spelling;
 use serde::{Deserialize, Serialize};
 
@@ -78,10 +79,10 @@ pub struct Plan {
     pub first_seed: u64,
     /// Fingerprint of the world model that encodes the pictures.
     pub world_model: String,
-    /// `shipped`, or the fingerprint of the file given by --policy.
+    /// Fingerprint of the policies: the file given by --policy, or those that ship.
     pub policy: String,
-    /// Source that flew.
-    pub revision: String,
+    /// Name of the code that flies ([`crate::sources`]).
+    pub code: String,
     /// The whole scenario; `axis` takes the points' values.
     pub scenario: Scenario,
 }
@@ -110,7 +111,7 @@ impl SweepFile {
             first_seed: flags.first_seed.unwrap_or(self.first_seed),
             world_model,
             policy,
-            revision: crpl_sitl::program::revision(),
+            code: crate::sources().into(),
             scenario,
         };
         plan.check()?;
@@ -212,15 +213,6 @@ fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<
 
 fn repeated<T: PartialEq + Copy>(items: &[T]) -> Option<T> {
     items.iter().enumerate().find(|(n, item)| items[..*n].contains(item)).map(|(_, item)| *item)
-}
-
-/// FNV-1a, 64 bit, in hexadecimal: names bytes, guards against nobody.
-#[must_use]
-pub fn fingerprint(bytes: &[u8]) -> String {
-    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-    });
-    format!("{hash:016x}")
 }
 
 /// Shard I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every shard has all

@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::episode::Episode;
 use super::plan::Plan;
-use crate::lab::stats::{Mean, Resamples};
 use crate::station::pilot::Controller;
+use crpl_model::numeric::statistics::{Mean, Resamples};
 
 /// The outcomes in tables for people.
 pub const SHOWN: [FlightOutcome; 2] = [FlightOutcome::Reached, FlightOutcome::Below];

@@ -1,16 +1,58 @@
-//! Means over episodes with 95 % intervals, and ratios of paired means by bootstrap.
+//! Quantiles, means and 95 % intervals: normal for means, Wilson's for shares, order statistics for
+//! quantiles, the bootstrap for the rest.
 //!
-//! Knows no controllers and no files. Chance comes from a fixed seed, so equal values give equal
-//! intervals.
+//! Knows no files. Where chance has no generator as its argument it comes from a fixed seed, so equal
+//! values give equal intervals.
 
 use crpl_sitl::world::noise::{Noise, Stream};
-use rand::RngExt;
+use rand::{Rng, RngExt};
 use serde::Serialize;
+
+/// Quantile `p` in [0, 1] of `values`, by the nearest rank; NaN of nothing.
+#[must_use]
+pub fn quantile(values: &[f64], p: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = (p * (sorted.len().max(1) - 1) as f64).round() as usize;
+    sorted.get(at).copied().unwrap_or(f64::NAN)
+}
+
+/// Standard normal deviate of a two-sided 95 % interval.
+const Z: f64 = 1.959_964;
+
+/// Low and high end.
+pub type Interval = [f64; 2];
+
+/// Wilson's score interval of a share `hits` of `n`.
+#[must_use]
+pub fn wilson(hits: usize, n: usize) -> Interval {
+    let (n, p) = (n.max(1) as f64, hits as f64 / n.max(1) as f64);
+    let centre = (p + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
+    let half = Z / (1.0 + Z * Z / n) * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
+    // Exact where rounding would leave the share itself outside.
+    [(centre - half).clamp(0.0, p), (centre + half).clamp(p, 1.0)]
+}
+
+/// Interval of the quantile `p` from the order statistics: no assumption about the distribution.
+#[must_use]
+pub fn of_quantile(values: &[f64], p: f64) -> Interval {
+    let half = Z * (p * (1.0 - p) / values.len().max(1) as f64).sqrt();
+    [quantile(values, (p - half).max(0.0)), quantile(values, (p + half).min(1.0))]
+}
+
+/// Percentile bootstrap of `statistic`, which gets the indices of a resample of `n`.
+pub fn bootstrap(n: usize, rng: &mut impl Rng, statistic: impl Fn(&[usize]) -> f64) -> Interval {
+    const RESAMPLES: usize = 400;
+    let draws: Vec<f64> = (0..RESAMPLES)
+        .map(|_| statistic(&(0..n).map(|_| rng.random_range(0..n.max(1))).collect::<Vec<_>>()))
+        .collect();
+    [quantile(&draws, 0.025), quantile(&draws, 0.975)]
+}
 
 /// Bootstrap resamples of a ratio.
 pub const RESAMPLES: usize = 2000;
 
-/// z of a two-sided 95 % interval.
+/// z of a normal 95 % interval, as the sweeps' tables round it.
 const Z95: f64 = 1.96;
 
 /// A mean over episodes with its 95 % interval.
@@ -75,7 +117,7 @@ impl Resamples {
         }
         let n = self.episodes as f64;
         let ratio = |a: f64, b: f64| (a / n) / (b / n).max(floor);
-        let mut ratios: Vec<f64> = self
+        let ratios: Vec<f64> = self
             .picks
             .chunks_exact(self.episodes)
             .map(|picks| {
@@ -85,16 +127,37 @@ impl Resamples {
             })
             .collect();
         let (_, sd) = mean_and_sd(&ratios);
-        ratios.sort_by(f64::total_cmp);
-        let last = ratios.len() - 1;
-        let at = |q: f64| ratios[(q * last as f64).round() as usize];
-        Some(Mean { mean: ratio(a.iter().sum(), b.iter().sum()), ci: [at(0.025), at(0.975)], sd })
+        let ci = [quantile(&ratios, 0.025), quantile(&ratios, 0.975)];
+        Some(Mean { mean: ratio(a.iter().sum(), b.iter().sum()), ci, sd })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn wilson_is_the_textbooks() {
+        // 81 of 263: 0.2553 to 0.3662 (Newcombe 1998).
+        let [low, high] = wilson(81, 263);
+        assert!((low - 0.2553).abs() < 1e-4 && (high - 0.3662).abs() < 1e-4, "{low} {high}");
+        assert!(wilson(10, 10)[1] > 0.999_999 && wilson(10, 10)[0] < 0.8);
+    }
+
+    #[test]
+    fn intervals_cover_the_truth_about_as_often_as_they_say() {
+        let mut rng = Noise::new(5).generator(Stream::Evaluation, 0);
+        let (mut quantiles, mut means) = (0, 0);
+        for _ in 0..200 {
+            let values: Vec<f64> = (0..300).map(|_| rng.random::<f64>()).collect();
+            let [low, high] = of_quantile(&values, 0.9);
+            quantiles += usize::from((low..=high).contains(&0.9));
+            let mean = |picks: &[usize]| picks.iter().map(|&n| values[n]).sum::<f64>() / 300.0;
+            let [low, high] = bootstrap(300, &mut rng, mean);
+            means += usize::from((low..=high).contains(&0.5));
+        }
+        assert!(quantiles >= 180 && means >= 180, "{quantiles} and {means} of 200");
+    }
 
     #[test]
     fn an_interval_shrinks_with_the_root_of_the_number() {
