@@ -2,6 +2,7 @@
 //! paired by the same gusts.
 
 use anyhow::Result;
+use crpl_model::numeric::statistics::Mean;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
 use crpl_sitl::scenario::presets;
