@@ -2,7 +2,6 @@
 //! paired by the same gusts.
 
 use anyhow::Result;
-use crpl_model::numeric::statistics::Mean;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
 use crpl_sitl::scenario::presets;

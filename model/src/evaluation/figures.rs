@@ -20,10 +20,6 @@ const PAPER: [(Forecaster, &str, f64, f64); 3] = [
 const HUES: [usize; 3] = [0, 3, 1];
 const GREY: usize = 7;
 
-/// Colours of three series that are compared, and of what they are held against.
-const HUES: [usize; 3] = [0, 3, 1];
-const GREY: usize = 7;
-
 /// Draws `fig3a`, `fig3b`, `moving` and `reliability` as SVG and PNG in `dir`.
 pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
     chart::save(&within(measured), dir, "fig3a")?;
