@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crpl_gcs::lab::Contender;
 use crpl_gcs::lab::check::ConstraintCheck;
-use crpl_model::planning::objective::Objective;
+use crpl_model::planning::plant::Objective;
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;

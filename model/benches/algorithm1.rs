@@ -12,10 +12,14 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use crpl_model::planning::algorithm1::{
-    Comparison, OptimiseConfig, OptimiseError, Progress, Stage, Watch, optimise, total_iterations,
+    Comparison, OptimiseProgress, OptimiseWatch, optimise, total_iterations,
 };
-use crpl_model::planning::objective::{self, Estimate, Execution, Head, Limits, Objective, Setting};
+use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
+use crpl_model::planning::head::Head;
+use crpl_model::planning::objective;
+use crpl_model::planning::plant::{Execution, Objective, ObjectiveEstimate, RolloutLimits, RolloutOptions};
 use crpl_model::planning::policy::Policies;
+use crpl_model::planning::problem::PlanningProblem;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use oracle::{by_autodiff, draws, net, plant};
@@ -25,9 +29,9 @@ use rand_chacha::ChaCha8Rng;
 /// Shows nothing and saves nothing.
 struct Quiet;
 
-impl Watch for Quiet {
-    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &Estimate, _: f64) {}
-    fn phase_done(&mut self, _: &str, _: &Progress) -> Result<(), OptimiseError> {
+impl OptimiseWatch for Quiet {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &ObjectiveEstimate, _: f64) {}
+    fn phase_done(&mut self, _: &str, _: &OptimiseProgress) -> Result<(), OptimiseError> {
         Ok(())
     }
     fn compared(&mut self, _: &Comparison) {}
@@ -45,15 +49,15 @@ fn iteration() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let collision = net(&[4, 64, 64, 1], 1.0, &mut rng);
     let gain = net(&[4, 64, 64, 1], 1.0, &mut rng);
-    let mut plant = plant(Limits::Plain, &mut rng);
+    let mut plant = plant(RolloutLimits::Plain, &mut rng);
     plant.collision = Head::new(collision.clone(), None).expect("a head's widths");
     plant.gain = Head::new(gain.clone(), None).expect("a head's widths");
     let draws = draws(2, 100, &mut rng);
     let objective = Objective::default();
     let motion = Policies::untrained(&mut rng).motion;
-    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
+    let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
     rate::rate("stage 1 by hand", "iterations", 1, || {
-        black_box(objective::gradient(&plant, &objective, setting, black_box(&motion), &draws));
+        black_box(objective::gradient(&plant, &objective, options, black_box(&motion), &draws));
     });
     rate::rate("stage 1 by autodiff", "iterations", 1, || {
         black_box(by_autodiff::gradient(
@@ -73,8 +77,8 @@ fn scenario() {
         (WorldModel::embedded().expect("the shipped checkpoint reads"), Scenario::default());
     let config = OptimiseConfig::default();
     let start = Instant::now();
-    let stage = Stage::of(&world, &scenario, &config, 1).expect("the shipped heads fit");
-    let (_, outcome) = optimise(&stage, &config, 1, None, &mut Quiet).expect("a feasible policy");
+    let problem = PlanningProblem::of(&world, &scenario, &config, 1).expect("the shipped heads fit");
+    let (_, outcome) = optimise(&problem, &config, 1, None, &mut Quiet).expect("a feasible policy");
     println!(
         "Scenario 2, both stages      {:>12.1} s, {} iterations, J {:.4}",
         start.elapsed().as_secs_f64(),

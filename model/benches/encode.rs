@@ -1,4 +1,4 @@
-//! One picture to its latents: the flight path, and burn for comparison.
+//! One frame to its latents: the flight path, and burn for comparison.
 
 mod rate;
 
@@ -19,7 +19,7 @@ fn main() {
 
     let device = Backend::Flex.device().expect("flex is always built");
     let weights = model.encoder.weights();
-    let encoder = module::Encoder::new(weights, &device);
+    let encoder = module::EncoderModule::new(weights, &device);
     let frames = [frame];
     rate::rate("encode, burn-flex", "frames", 1, || {
         black_box(module::latents_of(&encoder, &weights.input, &device, black_box(&frames)));

@@ -131,7 +131,7 @@ fn run(args: &Train) -> anyhow::Result<()> {
         resume: args.resume,
         stopwatch: Stopwatch::default(),
     };
-    let (model, figures) = recipe::train(&config, &run)?;
+    let (model, diagnostics) = recipe::train(&config, &run)?;
     let (wall_s, cpu_s) = run.stopwatch.seconds();
     if args.json {
         let out = serde_json::json!({
@@ -139,14 +139,14 @@ fn run(args: &Train) -> anyhow::Result<()> {
             "seed": config.seed,
             "backend": args.backend,
             "metrics": model.card.metrics,
-            "alarms": figures,
+            "alarms": diagnostics,
             "quick": args.quick,
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         });
         println!("{out:#}");
     } else {
-        print!("{}{}", model.card.metrics.table(), figures.table());
+        print!("{}{}", model.card.metrics.table(), diagnostics.table());
         println!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
         println!("checkpoint in {}", args.out.display());
         if args.quick {
@@ -167,7 +167,8 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     let stopwatch = Stopwatch::default();
     let trained = recipe::networks(&config, &model)?;
     predictors::publish(&trained, &args.out)?;
-    for (name, curve) in ["MLP", "LSTM"].iter().zip(&trained.curves) {
+    for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
+        let name = network.kind().name();
         let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
         println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));

@@ -3,13 +3,15 @@
 mod oracle;
 
 use crpl_model::numeric::kernel::LANES;
-use crpl_model::planning::objective::{self, Execution, Head, Limits, Objective, Setting};
+use crpl_model::planning::head::Head;
+use crpl_model::planning::objective;
+use crpl_model::planning::plant::{Execution, Objective, RolloutLimits, RolloutOptions};
 use crpl_model::planning::policy::Policies;
 use oracle::{by_autodiff, draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f64) {
+fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (f64, f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let plant = plant(limits, &mut rng);
     let mut draws = draws(2, 20, &mut rng);
@@ -23,11 +25,11 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
     // A barrier that is felt: tolerances wide enough that both logarithms are proper.
     let objective =
         Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
-    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
+    let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let direction = net(&[6, 64, 64, 5], 1.0, &mut rng);
-    let (_, grad) = objective::gradient(&plant, &objective, setting, &motion, &draws);
+    let (_, grad) = objective::gradient(&plant, &objective, options, &motion, &draws);
     let dot: f64 = grad
         .layers
         .iter()
@@ -42,14 +44,14 @@ fn slope_by_differences(limits: Limits, seed: u64, obstacles: usize) -> (f64, f6
             layer.w.iter_mut().zip(&d.w).for_each(|(w, d)| *w += sign * h * d);
             layer.b.iter_mut().zip(&d.b).for_each(|(b, d)| *b += sign * h * d);
         }
-        objective::evaluate(&plant, &objective, setting, &moved, &draws).0.j
+        objective::evaluate(&plant, &objective, options, &moved, &draws).0.j
     };
     (dot, (at(1.0) - at(-1.0)) / (2.0 * f64::from(h)))
 }
 
 #[test]
 fn gradient_agrees_with_finite_differences() {
-    for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
+    for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2), (seed, 3)]) {
             let (exact, differences) = slope_by_differences(limits, seed, obstacles);
             let error = (exact - differences).abs() / differences.abs().max(1e-3);
@@ -62,14 +64,14 @@ fn gradient_agrees_with_finite_differences() {
 #[test]
 fn a_second_obstacle_on_the_first_ones_place_adds_risk_and_no_shadow() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let plant = plant(Limits::Walls, &mut rng);
+    let plant = plant(RolloutLimits::Walls, &mut rng);
     let mut draws = draws(1, 12, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
-    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (_, one) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
+    let (_, one) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws);
     let first = draws[0].obstacles[0];
     draws[0].obstacles.push(first);
-    let (_, two) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, two) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws);
     assert_eq!((&one.cost, &one.comm), (&two.cost, &two.comm));
     assert!(one.safe.iter().zip(&two.safe).all(|(one, two)| two < one));
 }
@@ -77,16 +79,16 @@ fn a_second_obstacle_on_the_first_ones_place_adds_risk_and_no_shadow() {
 #[test]
 fn an_opening_flies_its_own_motions_and_then_the_policys() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
-    let plant = plant(Limits::Plain, &mut rng);
+    let plant = plant(RolloutLimits::Plain, &mut rng);
     let mut draws = draws(1, 12, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
-    let setting = Setting { eta: None, power: 4.0, execution: Execution::Nearest };
-    let (_, own) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let options = RolloutOptions { eta: None, power: 4.0, execution: Execution::Nearest };
+    let (_, own) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws);
     // Lane 1 is pushed to the goal, which lies ahead on the first axis; lane 2 away from it.
     let mut row = [None; LANES];
     (row[1], row[2]) = (Some([1.0, 0.0]), Some([-1.0, 0.0]));
     draws[0].opening = vec![row; 4];
-    let (_, opened) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
+    let (_, opened) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws);
     assert!(opened.cost[1] < own.cost[1] && opened.cost[2] > own.cost[2]);
     assert_eq!((opened.cost[0], &opened.cost[3..]), (own.cost[0], &own.cost[3..]));
 }
@@ -94,13 +96,13 @@ fn an_opening_flies_its_own_motions_and_then_the_policys() {
 #[test]
 fn number_of_threads_changes_no_bit() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let plant = plant(Limits::Walls, &mut rng);
+    let plant = plant(RolloutLimits::Walls, &mut rng);
     let draws = draws(4, 12, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
-    let setting = Setting { eta: Some(2.0), power: 4.0, execution: Execution::Nearest };
+    let options = RolloutOptions { eta: Some(2.0), power: 4.0, execution: Execution::Nearest };
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| objective::gradient(&plant, &Objective::default(), setting, &motion, &draws).1)
+        pool.install(|| objective::gradient(&plant, &Objective::default(), options, &motion, &draws).1)
     };
     assert_eq!(run(1), run(3));
 }
@@ -108,12 +110,12 @@ fn number_of_threads_changes_no_bit() {
 #[test]
 fn rollouts_are_scored_one_by_one_as_in_a_batch() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
-    let plant = plant(Limits::Plain, &mut rng);
+    let plant = plant(RolloutLimits::Plain, &mut rng);
     let draws = draws(3, 15, &mut rng);
     let motion = Policies::untrained(&mut rng).motion;
-    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (_, all) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws);
-    let (_, one) = objective::evaluate(&plant, &Objective::default(), setting, &motion, &draws[1..2]);
+    let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
+    let (_, all) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws);
+    let (_, one) = objective::evaluate(&plant, &Objective::default(), options, &motion, &draws[1..2]);
     assert_eq!(all.cost[LANES..2 * LANES], one.cost[..]);
     assert!(all.safe.iter().all(|s| *s <= 1.0) && all.comm.iter().all(|s| (0.0..=1.0).contains(s)));
 }
@@ -124,7 +126,7 @@ fn gradient_agrees_with_autodiff() {
     let mut collision = net(&[4, 64, 64, 1], 3.0, &mut rng);
     collision.layers[2].b[0] = -3.0;
     let gain = net(&[4, 64, 64, 1], 1.0, &mut rng);
-    let mut plant = plant(Limits::Plain, &mut rng);
+    let mut plant = plant(RolloutLimits::Plain, &mut rng);
     plant.collision = Head::new(collision.clone(), None).expect("a head's widths");
     plant.gain = Head::new(gain.clone(), None).expect("a head's widths");
     let draws = draws(2, 12, &mut rng);
@@ -132,8 +134,8 @@ fn gradient_agrees_with_autodiff() {
         Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
-    let setting = Setting { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
-    let (estimate, by_hand) = objective::gradient(&plant, &objective, setting, &motion, &draws);
+    let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
+    let (estimate, by_hand) = objective::gradient(&plant, &objective, options, &motion, &draws);
     let (j, oracle) = by_autodiff::gradient(&plant, &collision, &gain, &objective, 1.0, &motion, &draws);
     assert!((estimate.j - j).abs() < 1e-4 * j.abs().max(1.0), "J {} by hand, {j} by autodiff", estimate.j);
     let by_hand: Vec<&Vec<f32>> = by_hand.layers.iter().flat_map(|l| [&l.w, &l.b]).collect();

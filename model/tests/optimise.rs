@@ -1,9 +1,9 @@
 //! Algorithm 1 in small: it lowers J, and a run that was stopped ends as one that was not.
 
-use crpl_model::planning::algorithm1::{
-    Comparison, OptimiseConfig, OptimiseError, Progress, Stage, Watch, optimise,
-};
-use crpl_model::planning::objective::{Estimate, Objective};
+use crpl_model::planning::algorithm1::{Comparison, OptimiseProgress, OptimiseWatch, optimise};
+use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
+use crpl_model::planning::plant::{Objective, ObjectiveEstimate};
+use crpl_model::planning::problem::PlanningProblem;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 
@@ -27,7 +27,7 @@ fn config() -> OptimiseConfig {
 /// Keeps what was saved, and stops after `phases` phases.
 struct Keep {
     phases: usize,
-    saved: Option<Progress>,
+    saved: Option<OptimiseProgress>,
     costs: Vec<f64>,
 }
 
@@ -37,12 +37,12 @@ impl Keep {
     }
 }
 
-impl Watch for Keep {
-    fn iteration(&mut self, _: &str, _: usize, _: usize, estimate: &Estimate, _: f64) {
+impl OptimiseWatch for Keep {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, estimate: &ObjectiveEstimate, _: f64) {
         self.costs.push(estimate.cost);
     }
 
-    fn phase_done(&mut self, _: &str, progress: &Progress) -> Result<(), OptimiseError> {
+    fn phase_done(&mut self, _: &str, progress: &OptimiseProgress) -> Result<(), OptimiseError> {
         // As a file would keep it.
         let text = serde_json::to_string(progress).expect("progress is JSON");
         self.saved = Some(serde_json::from_str(&text).expect("and reads back"));
@@ -55,19 +55,20 @@ impl Watch for Keep {
     }
 }
 
-fn stage() -> Stage {
+fn problem() -> PlanningProblem {
     let world = WorldModel::embedded().expect("the shipped checkpoint reads");
-    Stage::of(&world, &Scenario::default(), &config(), 3).expect("the shipped heads fit")
+    PlanningProblem::of(&world, &Scenario::default(), &config(), 3).expect("the shipped heads fit")
 }
 
 #[test]
 fn a_stopped_run_goes_on_to_the_same_policies() {
-    let stage = stage();
-    let whole = optimise(&stage, &config(), 3, None, &mut Keep::until(usize::MAX)).expect("an unbroken run");
+    let problem = problem();
+    let whole =
+        optimise(&problem, &config(), 3, None, &mut Keep::until(usize::MAX)).expect("an unbroken run");
     for phases in [1, 5, 13] {
         let mut keep = Keep::until(phases);
-        assert!(optimise(&stage, &config(), 3, None, &mut keep).is_err());
-        let rest = optimise(&stage, &config(), 3, keep.saved, &mut Keep::until(usize::MAX));
+        assert!(optimise(&problem, &config(), 3, None, &mut keep).is_err());
+        let rest = optimise(&problem, &config(), 3, keep.saved, &mut Keep::until(usize::MAX));
         assert_eq!(rest.expect("the rest of it"), whole, "stopped after {phases} phases");
     }
 }
@@ -75,7 +76,7 @@ fn a_stopped_run_goes_on_to_the_same_policies() {
 #[test]
 fn iterations_lower_the_cost() {
     let mut keep = Keep::until(1);
-    let stopped = optimise(&stage(), &config(), 3, None, &mut keep);
+    let stopped = optimise(&problem(), &config(), 3, None, &mut keep);
     assert!(stopped.is_err());
     let mean = |costs: &[f64]| costs.iter().sum::<f64>() / costs.len() as f64;
     let (first, last) = (mean(&keep.costs[..5]), mean(&keep.costs[35..40]));

@@ -1,10 +1,11 @@
-//! What the shipped world model promises, on pictures that training never saw.
+//! What the shipped world model promises, on frames that training never saw.
 
 use crpl_model::encoder::module::{self, Backend};
-use crpl_model::evaluation::{self, EvaluationConfig};
-use crpl_model::heads::labels::{self, HeadsConfig, Scene, Station};
+use crpl_model::evaluation;
+use crpl_model::heads::labels::{self, BaseStation, HeadsConfig, Scene};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::dataset::{self, Start};
+use crpl_model::world_model::config::EvaluationConfig;
+use crpl_model::world_model::dataset::{self, EpisodeStart};
 use crpl_sitl::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 
@@ -61,9 +62,9 @@ fn actions_matter_ten_times_over() {
 #[test]
 fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
     use crpl_model::evaluation::report::{ReportConfig, measure};
-    use crpl_model::predictor::networks::Predictors;
+    use crpl_model::predictor::Networks;
 
-    let (model, networks) = (shipped(), Predictors::embedded().expect("the shipped networks read"));
+    let (model, networks) = (shipped(), Networks::embedded().expect("the shipped networks read"));
     assert_eq!(networks.world, crpl_model::world_model::checkpoint::fingerprint(&model).unwrap());
     let config = ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20 };
     let measured = measure(&model, &networks, &config, &Scenario::default(), || ());
@@ -96,7 +97,7 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
     // 0.97 over 1000 trajectories; 200 tell it to within their interval.
     let observed = row("observer", "moving", 100)["ci"]["p1"][1].as_f64().unwrap();
     assert!(observed >= 0.97, "{}", row("observer", "moving", 100));
-    // What the observer is for: two pictures of a moving UAV do not do it.
+    // What the observer is for: two frames of a moving UAV do not do it.
     assert!(of("linear", "moving", 100, "p1") < 0.5);
     assert!(of("linear", "rest", 100, "p90_px") < of("mlp", "rest", 100, "p90_px"));
     assert!(of("linear", "rest", 100, "p90_px") < of("lstm", "rest", 100, "p90_px"));
@@ -115,11 +116,11 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
 #[test]
 fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
     let (model, scenario) = (shipped(), Scenario::default());
-    let episode = &dataset::collect(1, 20, Start::Mixed, &scenario, &fresh(), 0)[0];
+    let episode = &dataset::collect(1, 20, EpisodeStart::Mixed, &scenario, &fresh(), 0)[0];
     let [before, now] = [0, 1].map(|k| model.encode(&episode.frame(k, &scenario)));
     let wide = |z: &[f32; 16]| crpl_model::predictor::linear::Half::from_fn(|k, _| f64::from(z[k]));
-    let full = model.predictor.step_c(&wide(&now.z_c), &wide(&before.z_c), episode.actions[0]);
-    let reduced = model.reduced().step_c(
+    let full = model.linear.step_c(&wide(&now.z_c), &wide(&before.z_c), episode.actions[0]);
+    let reduced = model.controllable().step(
         crpl_model::encoder::weights::vector(model.y_c(&now)),
         crpl_model::encoder::weights::vector(model.y_c(&before)),
         episode.actions[0],
@@ -131,7 +132,8 @@ fn plane_coordinates_predict_as_the_sixteen_dimensions_do() {
 #[test]
 fn burn_and_the_flight_path_see_the_same() {
     let (model, scenario) = (shipped(), Scenario::default());
-    let scenes = labels::sample(24, Station::Given, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
+    let scenes =
+        labels::sample(24, BaseStation::Given, &scenario, &mut fresh().generator(Stream::Evaluation, 3));
     let frames: Vec<_> = scenes.iter().map(|(s, _)| s.frame(&scenario)).collect();
     let own: Vec<_> = frames.iter().map(|f| model.encode(f)).collect();
     let backends =
@@ -139,7 +141,7 @@ fn burn_and_the_flight_path_see_the_same() {
     for backend in backends {
         let device = backend.device().unwrap();
         let weights = model.encoder.weights();
-        let encoder = module::Encoder::new(weights, &device);
+        let encoder = module::EncoderModule::new(weights, &device);
         let theirs = module::latents_of(&encoder, &weights.input, &device, &frames);
         let size = own.iter().flat_map(|l| l.z_c).fold(0.0f32, |m, v| m.max(v.abs()));
         for (a, b) in own.iter().zip(&theirs) {

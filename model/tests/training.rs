@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use crpl_model::encoder::module::Backend;
-use crpl_model::evaluation::EvaluationConfig;
-use crpl_model::evaluation::alarms::Limits;
 use crpl_model::heads::labels::HeadsConfig;
-use crpl_model::predictor::networks::NetworksConfig;
+use crpl_model::predictor::NetworksConfig;
 use crpl_model::training::lens::Lens;
 use crpl_model::training::recipe::{Run, TrainError, train};
-use crpl_model::training::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
+use crpl_model::world_model::config::{
+    AlarmLimits, DataConfig, EvaluationConfig, PredictorConfig, TrainConfig,
+};
+use crpl_model::world_model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
 use crpl_sitl::program::timing::Stopwatch;
 
 fn small() -> TrainConfig {
@@ -133,7 +133,7 @@ fn a_misspelt_key_and_a_senseless_value_are_named() {
 
 /// A gradient stage so short that its figures mean nothing: limits that nothing breaks.
 fn with_gradient() -> TrainConfig {
-    let limits = Limits {
+    let limits = AlarmLimits {
         rank: 0.0,
         spread: 0.0,
         eigenvalue: f64::MAX,
@@ -200,4 +200,13 @@ fn stages_that_cannot_be_are_told() {
     assert!(layers.starts_with("encoder.colour is not set"), "{layers}");
     let camera = check(|c| c.cameras = vec![Lens { noise: -1.0, ..Lens::default() }]);
     assert!(camera.starts_with("cameras, entry = 0: (counted from 0) must have"), "{camera}");
+}
+
+#[test]
+fn the_old_name_of_a_loss_is_an_error_that_names_the_new_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("train.toml");
+    std::fs::write(&path, "[stages.gradient]\nloss = \"recipe_b\"\n").unwrap();
+    let error = TrainConfig::load(&path).unwrap_err().to_string();
+    assert!(error.contains("whitened_prediction_loss"), "{error}");
 }

@@ -1,8 +1,7 @@
 //! The parts of CRPL's objective agree with the golden vectors to the files' own tolerance.
 
-use crpl_model::planning::objective::{
-    Objective, barrier, barrier_weight, log_ext, outage_surrogate, softmin,
-};
+use crpl_model::planning::objective::{barrier, barrier_weight, log_ext, outage_surrogate, softmin};
+use crpl_model::planning::plant::Objective;
 use serde::Deserialize;
 use tests::golden::{Table, assert_close, read};
 

@@ -5,11 +5,11 @@
 use std::path::Path;
 
 use crpl_model::encoder::weights::{Colour, LATENT};
+use crpl_model::numeric::tensors::{Writer, write_all};
 use crpl_model::predictor::linear::Half;
 use crpl_model::training::lens::{MIXED, Shot};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::checkpoint::{Writer, write_all};
-use crpl_model::world_model::dataset::{self, Start};
+use crpl_model::world_model::dataset::{self, EpisodeStart};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
 use crpl_sitl::world::noise::Noise;
@@ -49,7 +49,7 @@ fn agrees(model: &WorldModel) {
 /// Pictures by the clean and by a harder camera, some with a cut disc, their latents, and rollouts.
 fn write_vectors(model: &WorldModel, path: &Path) {
     let (scenario, noise) = (Scenario::default(), Noise::new(77));
-    let episodes = dataset::collect(COUNT, HORIZON, Start::Edge, &scenario, &noise, 0);
+    let episodes = dataset::collect(COUNT, HORIZON, EpisodeStart::Edge, &scenario, &noise, 0);
     let frames: Vec<Frame> = episodes
         .iter()
         .enumerate()
@@ -65,7 +65,7 @@ fn write_vectors(model: &WorldModel, path: &Path) {
         let start = Half::from_fn(|k, _| f64::from(latent.z_c[k]));
         let (mut now, mut before) = (start, start);
         for action in &episode.actions {
-            (now, before) = (model.predictor.step_c(&now, &before, *action), now);
+            (now, before) = (model.linear.step_c(&now, &before, *action), now);
             rollouts.extend(now.iter().map(|z| *z as f32));
         }
     }

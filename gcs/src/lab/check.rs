@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use crpl_model::evaluation::intervals::{Interval, wilson};
-use crpl_model::planning::algorithm1::OptimiseConfig;
-use crpl_model::planning::objective::Objective;
+use crpl_model::planning::config::OptimiseConfig;
+use crpl_model::planning::plant::Objective;
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;

@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
-    self, Comparison, OptimiseConfig, OptimiseError, Outcome, Progress, Side, Stage, Watch, optimise,
+    self, Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, PassingSide, optimise,
 };
-use crpl_model::planning::objective::{Estimate, Limits};
+use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
+use crpl_model::planning::plant::{ObjectiveEstimate, RolloutLimits};
 use crpl_model::planning::policy::Policies;
+use crpl_model::planning::problem::PlanningProblem;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::timing::Stopwatch;
@@ -56,7 +58,7 @@ struct Saved {
     world: String,
     scenario: Scenario,
     config: OptimiseConfig,
-    progress: Option<Progress>,
+    progress: Option<OptimiseProgress>,
 }
 
 /// What stands beside the policies.
@@ -66,7 +68,7 @@ struct Sheet<'a> {
     seed: u64,
     revision: String,
     config: &'a OptimiseConfig,
-    outcome: &'a Outcome,
+    outcome: &'a OptimiseOutcome,
     /// Both chance constraints as closed-loop flights measure them.
     flown: &'a ConstraintCheck,
 }
@@ -101,9 +103,9 @@ pub fn run(args: &Optimise) -> Result<()> {
     let begun = if args.resume { read_progress(&saved, &mut run)? } else { None };
 
     let stopwatch = Stopwatch::default();
-    let stage = Stage::of(&world, &scenario, &config, args.seed)?;
+    let problem = PlanningProblem::of(&world, &scenario, &config, args.seed)?;
     let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
-    let (policies, outcome) = optimise(&stage, &config, args.seed, begun, &mut show)?;
+    let (policies, outcome) = optimise(&problem, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
     let flown = check::after(&config, &world, &policies, &scenario)?;
     let kept = if flown.holds() { name } else { format!("{name}.rejected") };
@@ -152,7 +154,7 @@ pub(crate) fn one_obstacle(scenario: &Scenario) -> Result<()> {
     Ok(())
 }
 
-/// Optimises once for each of [`Limits`] and prints what they are worth, in latent rollouts and in flight.
+/// Optimises once for each of [`RolloutLimits`] and prints what they are worth, in latent rollouts and in flight.
 fn compare_limits(
     world: &Arc<WorldModel>,
     scenario: &Scenario,
@@ -162,10 +164,10 @@ fn compare_limits(
     if !args.json {
         println!("limits     J below   J above   margin             P_safe   P_safe flown  d_f flown");
     }
-    for limits in [Limits::Plain, Limits::Clip, Limits::Walls] {
+    for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         let config = OptimiseConfig { limits, ..config.clone() };
-        let stage = Stage::of(world, scenario, &config, args.seed)?;
-        let (policies, outcome) = optimise(&stage, &config, args.seed, None, &mut Quiet)?;
+        let problem = PlanningProblem::of(world, scenario, &config, args.seed)?;
+        let (policies, outcome) = optimise(&problem, &config, args.seed, None, &mut Quiet)?;
         let flown = check::after(&config, world, &policies, scenario)?;
         let c = &outcome.comparison;
         if args.json {
@@ -190,16 +192,16 @@ fn compare_limits(
 /// Shows nothing and saves nothing.
 struct Quiet;
 
-impl Watch for Quiet {
-    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &Estimate, _: f64) {}
-    fn phase_done(&mut self, _: &str, _: &Progress) -> Result<(), OptimiseError> {
+impl OptimiseWatch for Quiet {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &ObjectiveEstimate, _: f64) {}
+    fn phase_done(&mut self, _: &str, _: &OptimiseProgress) -> Result<(), OptimiseError> {
         Ok(())
     }
     fn compared(&mut self, _: &Comparison) {}
 }
 
 /// The progress of the same run, `None` if there is none; one of another run is an error.
-fn read_progress(path: &Path, run: &mut Saved) -> Result<Option<Progress>> {
+fn read_progress(path: &Path, run: &mut Saved) -> Result<Option<OptimiseProgress>> {
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
@@ -225,16 +227,16 @@ fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Resu
     std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
 }
 
-/// Progress bar, log of the phases, saved progress.
+/// OptimiseProgress bar, log of the phases, saved progress.
 struct Show {
     bar: ProgressBar,
     saved: PathBuf,
     run: Saved,
-    last: Option<(Estimate, f64)>,
+    last: Option<(ObjectiveEstimate, f64)>,
 }
 
 impl Show {
-    fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&Progress>) -> Self {
+    fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&OptimiseProgress>) -> Self {
         let bar = ProgressBar::new(algorithm1::total_iterations(config) as u64);
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of {duration}  {msg}")
         {
@@ -245,8 +247,8 @@ impl Show {
     }
 }
 
-impl Watch for Show {
-    fn iteration(&mut self, phase: &str, done: usize, of: usize, e: &Estimate, norm: f64) {
+impl OptimiseWatch for Show {
+    fn iteration(&mut self, phase: &str, done: usize, of: usize, e: &ObjectiveEstimate, norm: f64) {
         self.bar.inc(1);
         if done.is_multiple_of(25) || done == of {
             self.bar.set_message(format!(
@@ -262,7 +264,7 @@ impl Watch for Show {
         }
     }
 
-    fn phase_done(&mut self, phase: &str, progress: &Progress) -> Result<(), OptimiseError> {
+    fn phase_done(&mut self, phase: &str, progress: &OptimiseProgress) -> Result<(), OptimiseError> {
         if let Some((e, norm)) = self.last {
             self.bar.suspend(|| {
                 tracing::info!(
@@ -294,7 +296,7 @@ impl Watch for Show {
                 c.rollouts,
                 c.margin,
                 c.margin_se,
-                if c.chosen == Side::Below { "below it is" } else { "above it is" }
+                if c.chosen == PassingSide::Below { "below it is" } else { "above it is" }
             );
         });
     }

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use crpl_model::predictor::observer::Observer;
+use crpl_model::predictor::observer::LatentObserver;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::camera::{COLOURS, Frame};
 use crpl_sitl::radio::Fates;
@@ -42,9 +42,9 @@ impl Latents {
 /// Latent history and ledger.
 #[derive(Debug, Clone)]
 pub struct Belief {
-    controllable: Observer,
+    controllable: LatentObserver,
     /// Of each obstacle that the pictures tell apart.
-    uncontrollable: Vec<Observer>,
+    uncontrollable: Vec<LatentObserver>,
     /// Report that came with the newest picture.
     newest: Option<Heard>,
     latents: Latents,
@@ -59,8 +59,8 @@ impl Belief {
         let [c, u] = world.motions(config.limits.v_max, config.gust_std);
         let seen = config.obstacles.min(COLOURS);
         Self {
-            controllable: Observer::new(c, config.window),
-            uncontrollable: (0..seen).map(|_| Observer::new(u, config.window)).collect(),
+            controllable: LatentObserver::new(c, config.window),
+            uncontrollable: (0..seen).map(|_| LatentObserver::new(u.clone(), config.window)).collect(),
             newest: None,
             latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
             ledger: Ledger::new(config.rule),

@@ -1,7 +1,7 @@
-//! The flight path's encoder: one picture to its latents in plain Rust, well below a millisecond.
+//! The flight path's encoder: one frame to its latents in plain Rust, well below a millisecond.
 //!
 //! Channel-last, inner loop over output channels with fused multiply-adds, each sum in one fixed
-//! order: every vector width gives equal bits. The picture is mostly black, so each layer scatters
+//! order: every vector width gives equal bits. The frame is mostly black, so each layer scatters
 //! from the cells that are not zero; that is exact, whatever the biases. Knows no burn; checked
 //! against it by the tests.
 
@@ -16,7 +16,7 @@ use crate::encoder::weights::{
 /// Output channels that one inner loop carries in registers.
 const BLOCK: usize = 32;
 
-/// What the encoder knows of one picture.
+/// What the encoder knows of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Latent {
     /// The controllable half: the UAV.
@@ -25,7 +25,7 @@ pub struct Latent {
     pub z_u: [f32; LATENT],
 }
 
-/// The trunk's answer to one picture.
+/// The trunk's answer to one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
     /// h, [256].
@@ -73,7 +73,7 @@ impl Encoder {
         &self.weights
     }
 
-    /// h and q of one picture.
+    /// h and q of one frame.
     #[must_use]
     pub fn features(&self, frame: &Frame) -> Features {
         let mut h = self.fc.b.clone();
@@ -81,13 +81,13 @@ impl Encoder {
         Features { h, missing }
     }
 
-    /// The latents of one picture.
+    /// The latents of one frame.
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
         self.read(self.features(frame))
     }
 
-    /// The latents that the heads read from a picture's features.
+    /// The latents that the heads read from a frame's features.
     #[must_use]
     pub fn read(&self, features: Features) -> Latent {
         let Features { h, missing } = features;
@@ -100,7 +100,7 @@ impl Encoder {
         Latent { z_c: read(&self.head_c, &x), z_u }
     }
 
-    /// The latents of many pictures, drawn and encoded on all cores; order and bits as one by one.
+    /// The latents of many frames, drawn and encoded on all cores; order and bits as one by one.
     #[must_use]
     pub fn encode_all<T: Sync>(&self, scenes: &[T], draw: impl Fn(&T) -> Frame + Sync) -> Vec<Latent> {
         scenes.par_iter().map(|scene| self.encode(&draw(scene))).collect()
@@ -169,7 +169,7 @@ fn trunk(rgb: &[u8], input: &Input, convs: &[Packed; 4], fc: &Packed, h: &mut [f
     missing
 }
 
-/// The picture as the trunk reads it, [SIDE²][3], and q.
+/// The frame as the trunk reads it, [SIDE²][3], and q.
 #[inline(always)]
 fn scaled(rgb: &[u8], input: &Input) -> (Vec<f32>, [f32; CHANNELS]) {
     let mut sums = [0u32; CHANNELS];

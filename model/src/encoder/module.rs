@@ -63,7 +63,7 @@ fn ndarray() -> Result<Device, NoBackend> {
     Err(NoBackend)
 }
 
-/// Pictures as the network reads them.
+/// Frames as the network reads them.
 #[derive(Debug, Clone)]
 pub struct Batch {
     /// [batch, 3, 100, 100], scaled by [`Input`], or in 0..=1 where a colour layer comes first.
@@ -82,7 +82,7 @@ pub struct Trunk {
 }
 
 impl Batch {
-    /// Scales the pictures and puts them on the device.
+    /// Scales the frames and puts them on the device.
     #[must_use]
     pub fn new(frames: &[Frame], input: &Input, device: &Device) -> Self {
         let mut x = Vec::with_capacity(frames.len() * CHANNELS * SIDE * SIDE);
@@ -108,7 +108,7 @@ impl Batch {
 
 /// The encoder. Online and target are two of these.
 #[derive(Module, Debug)]
-pub struct Encoder {
+pub struct EncoderModule {
     /// 3 -> 2, pixel by pixel.
     colour: Option<Linear>,
     #[module(skip)]
@@ -123,7 +123,7 @@ pub struct Encoder {
     head_u: Linear,
 }
 
-impl Encoder {
+impl EncoderModule {
     /// The module with these weights.
     #[must_use]
     pub fn new(weights: &Weights, device: &Device) -> Self {
@@ -278,9 +278,9 @@ pub fn gradient_of<const D: usize>(tensor: &Tensor<D>, gradients: &Gradients) ->
     let count = tensor.shape().num_elements();
     tensor.grad(gradients).map_or_else(|| vec![0.0; count], values)
 }
-/// h and q of many pictures, `draw`n and computed in batches of `size` on the module's device.
+/// h and q of many frames, `draw`n and computed in batches of `size` on the module's device.
 pub fn features_of<T>(
-    encoder: &Encoder,
+    encoder: &EncoderModule,
     input: &Input,
     device: &Device,
     scenes: &[T],
@@ -302,9 +302,9 @@ pub fn features_of<T>(
     out
 }
 
-/// The latents of some pictures by burn.
+/// The latents of some frames by burn.
 #[must_use]
-pub fn latents_of(encoder: &Encoder, input: &Input, device: &Device, frames: &[Frame]) -> Vec<Latent> {
+pub fn latents_of(encoder: &EncoderModule, input: &Input, device: &Device, frames: &[Frame]) -> Vec<Latent> {
     let (c, u) = encoder.forward(&Batch::new(frames, input, device));
     let (c, u) = (values(c), values(u));
     let half = |v: &[f32], n: usize| std::array::from_fn(|k| v[n * LATENT + k]);
@@ -380,7 +380,7 @@ mod tests {
     }
 
     fn with_input(input: Input) -> Weights {
-        let mut weights = Weights::initial(input, 0.03, true, &Noise::new(2));
+        let mut weights = Weights::structured_init(input, 0.03, true, &Noise::new(2));
         // Heads and biases that are not zero, so that nothing hides behind a zero.
         for (k, w) in weights.head_c.w.iter_mut().chain(&mut weights.head_u.w).enumerate() {
             *w = ((k as f32) * 0.37).sin() * 0.1;
@@ -418,7 +418,7 @@ mod tests {
 
     fn by_burn(backend: Backend, weights: &Weights) -> Vec<Latent> {
         let device = backend.device().unwrap();
-        latents_of(&Encoder::new(weights, &device), &weights.input, &device, &frames())
+        latents_of(&EncoderModule::new(weights, &device), &weights.input, &device, &frames())
     }
 
     #[test]
@@ -444,7 +444,7 @@ mod tests {
     fn weights_survive_the_module() {
         let device = Backend::Flex.device().unwrap();
         for weights in [weights(), with_colour()] {
-            assert_eq!(Encoder::new(&weights, &device).weights(), weights);
+            assert_eq!(EncoderModule::new(&weights, &device).weights(), weights);
         }
     }
 }

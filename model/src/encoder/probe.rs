@@ -3,6 +3,8 @@
 
 use nalgebra::{DMatrix, Matrix2, Vector2};
 
+use crate::numeric::tensors::{Reader, Stored, TensorError, Writer};
+
 /// r = M y + b, paper units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Affine {
@@ -33,6 +35,24 @@ pub struct Probe {
     pub c: Affine,
     /// y_u to r_u.
     pub u: Affine,
+}
+
+impl Stored for Probe {
+    fn put(&self, out: &mut Writer) {
+        for (name, map) in [("probe.c", &self.c), ("probe.u", &self.u)] {
+            out.matrix(&format!("{name}.matrix"), &map.matrix);
+            out.f64(&format!("{name}.offset"), &[2], map.offset.iter().copied());
+        }
+    }
+
+    fn get(from: &Reader<'_>) -> Result<Self, TensorError> {
+        let map = |name: &str| -> Result<Affine, TensorError> {
+            let matrix: Matrix2<f64> = from.matrix(&format!("{name}.matrix"))?;
+            let offset = from.f64(&format!("{name}.offset"), &[2])?;
+            Ok(Affine { matrix, offset: Vector2::new(offset[0], offset[1]) })
+        };
+        Ok(Self { c: map("probe.c")?, u: map("probe.u")? })
+    }
 }
 
 /// Least squares of `r` on (y, 1), ridge `1e-8` relative; zero map where there is nothing to learn.

@@ -1,7 +1,7 @@
 //! The encoder's numbers as plain arrays: the form in which burn's module, the flight path and the
-//! checkpoint exchange them, and the structured initialisation of recipe A.
+//! checkpoint exchange them, and the structured initialisation.
 //!
-//! Knows shapes and start values; computes no picture.
+//! Knows shapes and start values; computes no frame.
 
 use crpl_sitl::camera::{CHANNELS, SIDE};
 use crpl_sitl::scenario::Scenario;
@@ -9,6 +9,8 @@ use crpl_sitl::world::noise::{Noise, Stream};
 use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
+
+use crate::numeric::tensors::{Reader, Stored, TensorError, Writer};
 
 /// Length of z_c and of z_u.
 pub const LATENT: usize = 16;
@@ -50,7 +52,7 @@ const fn conv(
     ConvShape { inputs, outputs, kernel, stride, padding, grid_in, grid_out }
 }
 
-/// The trunk. Strides and padding are chosen so that every grid covers the whole picture.
+/// The trunk. Strides and padding are chosen so that every grid covers the whole frame.
 pub const CONVS: [ConvShape; 4] = [
     conv(CHANNELS, 32, 7, 4, 4, SIDE), // 100 -> 26
     conv(32, 64, 3, 2, 2, 26),         // 26 -> 14
@@ -148,7 +150,7 @@ impl Input {
     }
 
     /// Factor from byte to input, and the missing share q = 1 - own mass / whole mass, per channel,
-    /// of a picture whose bytes sum to `sums`. An empty channel has factor 1/(255 scale) and q = 0.
+    /// of a frame whose bytes sum to `sums`. An empty channel has factor 1/(255 scale) and q = 0.
     #[must_use]
     pub fn factors(&self, sums: [u32; CHANNELS]) -> ([f32; CHANNELS], [f32; CHANNELS]) {
         self.factors_of(sums.map(|sum| sum as f32), 255.0)
@@ -190,12 +192,12 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// Recipe A's start: triangle kernels that keep the centre of mass of a blob exactly linear in the
+    /// The structured start: triangle kernels that keep the centre of mass of a blob exactly linear in the
     /// features, one copied channel per output plus `mix` of dense noise, biases zero, heads zero.
     ///
     /// `gated` makes room for the missing-mass features in z_c's head.
     #[must_use]
-    pub fn initial(input: Input, mix: f64, gated: bool, noise: &Noise) -> Self {
+    pub fn structured_init(input: Input, mix: f64, gated: bool, noise: &Noise) -> Self {
         let mut rng = noise.generator(Stream::Weights, 0);
         let convs = std::array::from_fn(|n| triangle_layer(&CONVS[n], mix, n == 0, &mut rng));
         let mut fc = Layer::zeros(&[FEATURES, POOLED]);
@@ -211,7 +213,7 @@ impl Weights {
     /// UAV; it is here to show that.
     #[must_use]
     pub fn kaiming(input: Input, gated: bool, noise: &Noise) -> Self {
-        let mut weights = Self::initial(input, 0.0, gated, noise);
+        let mut weights = Self::structured_init(input, 0.0, gated, noise);
         let mut rng = noise.generator(Stream::Weights, 3);
         for layer in weights.convs.iter_mut().chain([&mut weights.fc]) {
             let inputs = layer.w.len() / layer.b.len();
@@ -243,6 +245,63 @@ impl Weights {
         let layers = convs.iter_mut().chain([fc, head_c, head_u]);
         colour.chain(layers.flat_map(|l| [l.w.as_mut_slice(), l.b.as_mut_slice()])).collect()
     }
+}
+
+impl Stored for Weights {
+    fn put(&self, out: &mut Writer) {
+        out.f32("input.scale", &[3], self.input.scale);
+        out.f32("input.whole_mass", &[3], self.input.whole_mass);
+        if let Some(Colour { w, b }) = self.input.colour {
+            out.f32("colour.weight", &[2, 3], w.into_iter().flatten());
+            out.f32("colour.bias", &[2], b);
+        }
+        for (n, conv) in self.convs.iter().enumerate() {
+            put_layer(out, &format!("conv{}", n + 1), conv);
+        }
+        put_layer(out, "fc", &self.fc);
+        put_layer(out, "head_c", &self.head_c);
+        put_layer(out, "head_u", &self.head_u);
+    }
+
+    fn get(from: &Reader<'_>) -> Result<Self, TensorError> {
+        let triple = |name: &str| -> Result<[f32; 3], TensorError> {
+            let v = from.f32(name, &[3])?;
+            Ok([v[0], v[1], v[2]])
+        };
+        let conv = |n: usize| {
+            let c = CONVS[n];
+            get_layer(from, &format!("conv{}", n + 1), &[c.outputs, c.inputs, c.kernel, c.kernel])
+        };
+        // z_c's head is twice as wide where the missing-mass features stand beside h.
+        let gated = from.shape("head_c.weight")?.get(1) == Some(&(2 * FEATURES));
+        let width = if gated { 2 * FEATURES } else { FEATURES };
+        let colour = if from.has("colour.weight") {
+            let (w, b) = (from.f32("colour.weight", &[2, 3])?, from.f32("colour.bias", &[2])?);
+            Some(Colour { w: [[w[0], w[1], w[2]], [w[3], w[4], w[5]]], b: [b[0], b[1]] })
+        } else {
+            None
+        };
+        Ok(Self {
+            input: Input { scale: triple("input.scale")?, whole_mass: triple("input.whole_mass")?, colour },
+            convs: [conv(0)?, conv(1)?, conv(2)?, conv(3)?],
+            fc: get_layer(from, "fc", &[FEATURES, POOLED])?,
+            head_c: get_layer(from, "head_c", &[LATENT, width])?,
+            head_u: get_layer(from, "head_u", &[LATENT, FEATURES])?,
+        })
+    }
+}
+
+/// Adds `{name}.weight` and `{name}.bias`.
+fn put_layer(out: &mut Writer, name: &str, layer: &Layer) {
+    out.f32(&format!("{name}.weight"), &layer.shape, layer.w.iter().copied());
+    out.f32(&format!("{name}.bias"), &[layer.b.len()], layer.b.iter().copied());
+}
+
+/// Reads `{name}.weight` with this shape and its bias.
+fn get_layer(from: &Reader<'_>, name: &str, shape: &[usize]) -> Result<Layer, TensorError> {
+    let w = from.f32(&format!("{name}.weight"), shape)?;
+    let b = from.f32(&format!("{name}.bias"), &shape[..1])?;
+    Ok(Layer { shape: shape.to_vec(), w, b })
 }
 
 /// Weight[o,i,:,:] = M[o,i] T: T the outer product of triangles of half-width = stride, which are a
@@ -320,7 +379,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grids_cover_the_picture() {
+    fn grids_cover_the_frame() {
         let sides: Vec<_> = CONVS.iter().map(|c| c.grid_out).collect();
         assert_eq!(sides, [26, 14, 8, 5]);
         assert_eq!(CONVS[3].outputs * CONVS[3].grid_out.pow(2), POOLED);

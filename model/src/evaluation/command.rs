@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::evaluation::figures;
 use crate::evaluation::report::{self, ReportConfig};
-use crate::evaluation::rollout::Start;
-use crate::predictor::networks::{PREDICTORS, Predictors};
+use crate::evaluation::rollout::RolloutStart;
+use crate::predictor::{Networks, PREDICTORS};
 use crate::world_model::{WorldModel, checkpoint};
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
@@ -47,7 +47,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         window: args.window as usize,
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
-    let bar = ProgressBar::new(Start::ALL.len() as u64 * args.trajectories);
+    let bar = ProgressBar::new(RolloutStart::ALL.len() as u64 * args.trajectories);
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} trajectories {eta} left") {
         bar.set_style(style);
     }
@@ -75,10 +75,10 @@ pub fn run(args: &Evaluate) -> Result<()> {
 }
 
 /// The world model and the networks that were trained on its latents.
-fn load(dir: Option<&Path>) -> Result<(WorldModel, Predictors)> {
+fn load(dir: Option<&Path>) -> Result<(WorldModel, Networks)> {
     let (model, networks) = match dir {
-        Some(dir) => (WorldModel::load(dir)?, Predictors::load(dir)?),
-        None => (WorldModel::embedded()?, Predictors::embedded()?),
+        Some(dir) => (WorldModel::load(dir)?, Networks::load(dir)?),
+        None => (WorldModel::embedded()?, Networks::embedded()?),
     };
     let here = checkpoint::fingerprint(&model)?;
     if networks.world != here {

@@ -6,11 +6,15 @@ use std::path::Path;
 use crate::encoder::probe::quantile;
 use crate::evaluation::chart::{self, Chart, PlotError, Series, Style};
 use crate::evaluation::report::Measured;
-use crate::evaluation::rollout::{Errors, LONGEST, Name, Start};
+use crate::evaluation::rollout::{Errors, Forecaster, LONGEST, RolloutStart};
+use crate::predictor::PredictorKind;
 
 /// The predictors of Fig. 3, and what Sec. IV-B reports for H = 100: P(≤ 1 px), p90 in px.
-const PAPER: [(Name, &str, f64, f64); 3] =
-    [(Name::Linear, "linear", 0.93, 0.82), (Name::Mlp, "MLP", 0.84, 1.08), (Name::Lstm, "LSTM", 0.68, 1.28)];
+const PAPER: [(Forecaster, &str, f64, f64); 3] = [
+    (Forecaster::Predictor(PredictorKind::Linear), "linear", 0.93, 0.82),
+    (Forecaster::Predictor(PredictorKind::Mlp), "MLP", 0.84, 1.08),
+    (Forecaster::Predictor(PredictorKind::Lstm), "LSTM", 0.68, 1.28),
+];
 
 /// Draws `fig3a`, `fig3b`, `moving` and `reliability` as SVG and PNG in `dir`.
 pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
@@ -20,7 +24,7 @@ pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
     chart::save(&reliability(measured), dir, "reliability")
 }
 
-fn errors(measured: &Measured, name: Name, start: Start) -> &[Vec<f64>] {
+fn errors(measured: &Measured, name: Forecaster, start: RolloutStart) -> &[Vec<f64>] {
     let found = measured.errors.iter().find(|(n, s, _)| *n == name && *s == start);
     found.map_or(&[], |(_, _, e)| e.as_slice())
 }
@@ -36,7 +40,7 @@ fn shares(errors: &[Vec<f64>], px: f64) -> Vec<(f64, f64)> {
 fn within(measured: &Measured) -> Chart {
     let mut series = Vec::new();
     for (colour, (name, word, p1, _)) in PAPER.into_iter().enumerate() {
-        let e = errors(measured, name, Start::Rest);
+        let e = errors(measured, name, RolloutStart::Rest);
         series.push(Series::line(format!("{word}, 1 px"), colour, shares(e, 1.0)));
         series.push(Series::line(format!("{word}, 5 px"), colour, shares(e, 5.0)).styled(Style::Dashed));
         let theirs = vec![(LONGEST as f64, p1)];
@@ -58,7 +62,7 @@ fn within(measured: &Measured) -> Chart {
 fn distribution(measured: &Measured) -> Chart {
     let mut series = Vec::new();
     for (colour, (name, word, _, p90)) in PAPER.into_iter().enumerate() {
-        let e = errors(measured, name, Start::Rest);
+        let e = errors(measured, name, RolloutStart::Rest);
         series.push(Series::line(format!("{word}, H = 100"), colour, cdf(e, LONGEST)));
         series.push(Series::line(format!("{word}, H = 1"), colour, cdf(e, 1)).styled(Style::Dashed));
         let theirs = vec![(p90, 0.9)];
@@ -83,15 +87,15 @@ fn cdf(errors: &[Vec<f64>], h: usize) -> Vec<(f64, f64)> {
     (0..=200).map(|k| f64::from(k) / 200.0).map(|p| (quantile(&at, p).max(0.005), p)).collect()
 }
 
-/// From a moving UAV: two pictures against the observer's window.
+/// From a moving UAV: two frames against the observer's window.
 fn moving(measured: &Measured) -> Chart {
     let named = [
-        (Name::Linear, "linear, two pictures"),
-        (Name::Observer, "linear, observer"),
-        (Name::ConstantVelocity, "constant velocity"),
+        (Forecaster::Predictor(PredictorKind::Linear), "linear, two frames"),
+        (Forecaster::Observer, "linear, observer"),
+        (Forecaster::ConstantVelocity, "constant velocity"),
     ];
     let series = named.into_iter().enumerate().map(|(colour, (name, word))| {
-        let e: &Errors = &errors(measured, name, Start::Moving).to_vec();
+        let e: &Errors = &errors(measured, name, RolloutStart::Moving).to_vec();
         Series::line(word, colour, shares(e, 1.0))
     });
     Chart {
@@ -108,7 +112,7 @@ fn moving(measured: &Measured) -> Chart {
 fn reliability(measured: &Measured) -> Chart {
     let bins = measured.report.heads.reliability.iter().map(|(p, t, _)| (*p, *t)).collect();
     Chart {
-        title: format!("Collision head on pictures, ECE {:.4}", measured.report.heads.ece),
+        title: format!("Collision head on frames, ECE {:.4}", measured.report.heads.ece),
         x: "predicted probability".into(),
         y: "true probability, mean of the bin".into(),
         x_range: Some([0.0, 1.0]),

@@ -1,12 +1,12 @@
-//! What a world model is worth, on held-out pictures: decode errors, leakage, rollouts, heads.
+//! What a world model is worth, on held-out frames: decode errors, leakage, rollouts, heads.
 //!
 //! Ground truth is used here alone, and only to measure. Errors are l1 in px (0.01 unit), as in
 //! Sec. IV-B.
 
-pub mod alarms;
 pub mod chart;
 #[cfg(feature = "train")]
 pub mod command;
+pub mod diagnostics;
 pub mod figures;
 pub mod intervals;
 pub mod report;
@@ -18,104 +18,15 @@ use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 use nalgebra::Vector2;
 use rand::seq::SliceRandom;
-use serde::{Deserialize, Serialize};
 
 use crate::encoder::probe::{quantile, r_squared};
 use crate::encoder::weights::{LATENT, vector};
-use crate::heads::labels::{self, HeadsConfig, Scene, Station, auc, calibration_error};
-use crate::training::closed_form::Check;
+use crate::heads::labels::{self, BaseStation, HeadsConfig, Scene, auc, calibration_error};
+use crate::predictor::Begin;
 use crate::world_model::WorldModel;
-use crate::world_model::dataset::{self, EDGE_BAND, Episode, Start};
-
-/// How much is measured.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct EvaluationConfig {
-    /// Pictures for the probe, and again as many for its test.
-    pub frames: usize,
-    /// Trajectories of 100 steps, each from rest.
-    pub rollouts: usize,
-    /// Length of a rollout, intervals.
-    pub horizon: usize,
-}
-
-impl Default for EvaluationConfig {
-    fn default() -> Self {
-        Self { frames: 4000, rollouts: 500, horizon: 100 }
-    }
-}
-
-/// Results on held-out data.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Metrics {
-    /// Decode errors.
-    pub probe: ProbeMetrics,
-    /// Latent rollouts.
-    pub rollout: RolloutMetrics,
-    /// Heads on pictures, the base station where the scenario has it.
-    pub heads: HeadMetrics,
-    /// Heads at the end of latent rollouts, the same station.
-    pub heads_after_rollout: HeadMetrics,
-    /// Heads on pictures, each with a base station anywhere in the frame's square.
-    pub heads_anywhere: HeadMetrics,
-    /// Heads at the end of latent rollouts, stations as above.
-    pub heads_anywhere_after_rollout: HeadMetrics,
-    /// What the closed form says of itself without labels.
-    pub label_free: Check,
-}
-
-/// Errors of the positions decoded from the latents, l1, px; share of variance leaked.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ProbeMetrics {
-    /// UAV at least 4 px from every edge, 90 % quantile.
-    pub c_middle_p90_px: f64,
-    /// UAV within 4 px of an edge: its disc is cut. 90 % quantile.
-    pub c_edge_p90_px: f64,
-    /// The same, largest error.
-    pub c_edge_max_px: f64,
-    /// Obstacle, 90 % quantile.
-    pub u_p90_px: f64,
-    /// Obstacle where the UAV covers a part of it, 90 % quantile.
-    pub u_overlap_p90_px: f64,
-    /// R² of the obstacle's position from z_c.
-    pub leak_c_to_u: f64,
-    /// R² of the UAV's position from z_u.
-    pub leak_u_to_c: f64,
-}
-
-/// Errors of the UAV's position along latent rollouts from rest (both history frames equal).
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RolloutMetrics {
-    /// Share within 0.2 px after one step.
-    pub one_step_within_02_px: f64,
-    /// Share within 1 px at the end.
-    pub end_within_1_px: f64,
-    /// At the end with the true actions, 90 % quantile, px.
-    pub true_p90_px: f64,
-    /// With the actions set to zero.
-    pub zero_p90_px: f64,
-    /// With the actions of another trajectory.
-    pub shuffled_p90_px: f64,
-}
-
-/// Quality of the heads.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct HeadMetrics {
-    /// Area under the curve of p_coll > ½.
-    pub collision_auc: f64,
-    /// Expected calibration error of p_coll.
-    pub collision_ece: f64,
-    /// Mean absolute error of p_coll.
-    pub collision_mae: f64,
-    /// Root mean square error of |h|², dB.
-    pub gain_rms_db: f64,
-    /// 90 % quantile of its absolute error, dB.
-    pub gain_p90_db: f64,
-}
+use crate::world_model::card::{FitCheck, HeadMetrics, ProbeMetrics, RolloutMetrics, WorldMetrics};
+use crate::world_model::config::EvaluationConfig;
+use crate::world_model::dataset::{self, EDGE_BAND, Episode, EpisodeStart};
 
 /// Measures everything but `label_free`, which the fit hands over.
 #[must_use]
@@ -125,12 +36,18 @@ pub fn measure(
     heads_config: &HeadsConfig,
     scenario: &Scenario,
     noise: &Noise,
-    label_free: Check,
-) -> Metrics {
-    let episodes =
-        dataset::collect(config.rollouts, config.horizon, Start::Rest, scenario, noise, EVALUATION_EPISODES);
+    label_free: FitCheck,
+) -> WorldMetrics {
+    let episodes = dataset::collect(
+        config.rollouts,
+        config.horizon,
+        EpisodeStart::Rest,
+        scenario,
+        noise,
+        EVALUATION_EPISODES,
+    );
     let (rollout, ends) = rollouts(model, &episodes, scenario, noise);
-    let [given, anywhere] = [Station::Given, Station::Anywhere].map(|station| {
+    let [given, anywhere] = [BaseStation::Given, BaseStation::Anywhere].map(|station| {
         let mut rng = noise.generator(Stream::Evaluation, 1);
         let scenes = labels::sample(config.frames, station, scenario, &mut rng);
         let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
@@ -142,7 +59,7 @@ pub fn measure(
             judge(model, &last, &ends, scenario, heads_config),
         ]
     });
-    Metrics {
+    WorldMetrics {
         probe: decode(model, config.frames, scenario, noise),
         rollout,
         heads: given[0],
@@ -156,7 +73,7 @@ pub fn measure(
 /// Keeps the held-out episodes apart from the training ones.
 const EVALUATION_EPISODES: u64 = 9;
 
-/// Decode errors on `count` fresh pictures, both bodies anywhere.
+/// Decode errors on `count` fresh frames, both bodies anywhere.
 #[must_use]
 pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> ProbeMetrics {
     let d = decoded(model, count, scenario, noise);
@@ -173,7 +90,7 @@ pub fn decode(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noi
 
 /// Decode errors and what they come from, l1, px.
 #[derive(Debug, Clone, Default)]
-struct Decoded {
+struct DecodeSamples {
     /// UAV whose disc is whole.
     whole: Vec<f64>,
     /// UAV whose disc the frame cuts.
@@ -188,14 +105,14 @@ struct Decoded {
     r_u: Vec<Vector2<f64>>,
 }
 
-fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> Decoded {
+fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> DecodeSamples {
     let mut rng = noise.generator(Stream::Evaluation, 0);
     let scenes: Vec<Scene> = (0..count).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
     let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
     let px = SIDE as f64;
     let l1 = |a: Vector2<f64>, b: Vector2<f64>| px * (a - b).abs().sum();
     let reach = scenario.obstacle().radius + scenario.uav_radius + scenario.camera.edge_px / px;
-    let mut d = Decoded::default();
+    let mut d = DecodeSamples::default();
     for (s, l) in scenes.iter().zip(&latents) {
         let depth = s.uav.iter().map(|x| x.min(1.0 - x)).fold(1.0, f64::min);
         let (c, u) = (l1(model.uav(l), s.uav), l1(model.obstacle(l), s.obstacle));
@@ -216,7 +133,7 @@ fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise)
     d
 }
 
-/// y_c and y_u of a picture, or at the end of a rollout.
+/// y_c and y_u of a frame, or at the end of a rollout.
 type Ends = (Vector2<f64>, Vector2<f64>);
 
 /// Latent rollouts of the UAV from rest, and where both halves end.
@@ -226,18 +143,14 @@ fn rollouts(
     scenario: &Scenario,
     noise: &Noise,
 ) -> (RolloutMetrics, Vec<Ends>) {
-    let psi = model.reduced();
     let starts = model.encoder.encode_all(episodes, |e| e.frame(1, scenario));
     let mut other: Vec<usize> = (0..episodes.len()).collect();
     other.shuffle(&mut noise.generator(Stream::Evaluation, 2));
     let px = SIDE as f64;
     let error = |y: Vector2<f64>, r: Vector2<f64>| px * (model.probe.c.apply(y) - r).abs().sum();
     let fly = |start: Vector2<f64>, actions: &[Vector2<f64>]| {
-        let (mut now, mut before) = (start, start);
-        for a in actions {
-            (now, before) = (psi.step_c(now, before, *a), now);
-        }
-        now
+        let path = model.predictor.rollout(Begin { now: start, before: start, actions });
+        path.last().copied().unwrap_or(start)
     };
     let mut errors: [Vec<f64>; 4] = Default::default();
     let mut ends = Vec::with_capacity(episodes.len());
@@ -299,7 +212,7 @@ fn judged(
     let mut judged = Judged::default();
     for ((scene, station), (c, u)) in scenes.iter().zip(seen) {
         let label = scene.label(*station, scenario, floor);
-        let (heads, c, u) = (model.heads_at(*station), narrow(c), narrow(u));
+        let (heads, c, u) = (model.station_heads(*station), narrow(c), narrow(u));
         judged.predicted.push(f64::from(heads.collision(c, u)));
         judged.truth.push(label.collision);
         judged.gain_db.push(decibel * (f64::from(heads.log_gain(c, u)) - label.log_gain).abs());
@@ -323,43 +236,4 @@ fn judge(
         gain_rms_db: (j.gain_db.iter().map(|e| e * e).sum::<f64>() / n).sqrt(),
         gain_p90_db: quantile(&j.gain_db, 0.9),
     }
-}
-
-impl Metrics {
-    /// The table that `model train` ends with.
-    #[must_use]
-    pub fn table(&self) -> String {
-        let (p, r, h, e) = (&self.probe, &self.rollout, &self.heads, &self.heads_after_rollout);
-        let (any, any_end) = (&self.heads_anywhere, &self.heads_anywhere_after_rollout);
-        let decibels = |h: &HeadMetrics| format!("{:.3} / {:.3} dB", h.gain_rms_db, h.gain_p90_db);
-        let check = &self.label_free;
-        let rows = [
-            ("z_c -> UAV, whole disc, p90", format!("{:.3} px", p.c_middle_p90_px)),
-            ("z_c -> UAV, cut disc, p90", format!("{:.3} px", p.c_edge_p90_px)),
-            ("z_c -> UAV, cut disc, largest", format!("{:.3} px", p.c_edge_max_px)),
-            ("z_u -> obstacle, p90", format!("{:.3} px", p.u_p90_px)),
-            ("z_u -> obstacle under the UAV, p90", format!("{:.3} px", p.u_overlap_p90_px)),
-            ("leak z_c -> obstacle, R²", format!("{:.4}", p.leak_c_to_u)),
-            ("leak z_u -> UAV, R²", format!("{:.4}", p.leak_u_to_c)),
-            ("one step within 0.2 px", format!("{:.3}", r.one_step_within_02_px)),
-            ("rollout from rest within 1 px at the end", format!("{:.3}", r.end_within_1_px)),
-            ("  true actions, p90", format!("{:.3} px", r.true_p90_px)),
-            ("  zero actions, p90", format!("{:.1} px", r.zero_p90_px)),
-            ("  shuffled actions, p90", format!("{:.1} px", r.shuffled_p90_px)),
-            ("collision AUC / ECE / MAE, pictures", three(h)),
-            ("collision AUC / ECE / MAE, after rollout", three(e)),
-            ("gain rms / p90, pictures", decibels(h)),
-            ("gain rms / p90, after rollout", decibels(e)),
-            ("  base station anywhere, ECE, pictures", format!("{:.4}", any.collision_ece)),
-            ("  base station anywhere, gain, pictures", decibels(any)),
-            ("  base station anywhere, gain, after rollout", decibels(any_end)),
-            ("label-free: residual of z_c", format!("{:.3} px", check.residual_c_px)),
-            ("label-free: eigenvalues of z_u", check.eigenvalues.map(|v| format!("{v:.1e}")).join(" ")),
-        ];
-        rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")).collect()
-    }
-}
-
-fn three(h: &HeadMetrics) -> String {
-    format!("{:.4} / {:.4} / {:.4}", h.collision_auc, h.collision_ece, h.collision_mae)
 }

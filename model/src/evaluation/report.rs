@@ -9,11 +9,13 @@ use serde::Serialize;
 use crate::encoder::probe::{effective_rank, quantile, r_squared};
 use crate::encoder::weights::vector;
 use crate::evaluation::intervals::{Interval, bootstrap, of_quantile};
-use crate::evaluation::robustness::{self, HardRow};
-use crate::evaluation::rollout::{self, Errors, HORIZONS, Known, LONGEST, Name, Row, Start, Trajectory};
+use crate::evaluation::robustness::{self, RobustnessRow};
+use crate::evaluation::rollout::{
+    self, Errors, Forecaster, HORIZONS, Known, LONGEST, RolloutRow, RolloutStart, Trajectory,
+};
 use crate::evaluation::{Judged, decoded, judged};
-use crate::heads::labels::{self, Scene, Station, auc, calibration_error};
-use crate::predictor::networks::Predictors;
+use crate::heads::labels::{self, BaseStation, Scene, auc, calibration_error};
+use crate::predictor::Networks;
 use crate::world_model::WorldModel;
 
 /// How much is measured.
@@ -23,17 +25,17 @@ pub struct ReportConfig {
     pub seed: u64,
     /// Trajectories from each start.
     pub trajectories: usize,
-    /// Pictures for probes and heads.
+    /// Frames for probes and heads.
     pub frames: usize,
-    /// M, pictures that the observer sees.
+    /// M, frames that the observer sees.
     pub window: usize,
 }
 
 /// What was measured.
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
+pub struct EvaluationReport {
     /// Every predictor, start and look-ahead.
-    pub rollout: Vec<Row>,
+    pub rollout: Vec<RolloutRow>,
     /// Positions from latents.
     pub probe: ProbeReport,
     /// Risk and channel.
@@ -43,10 +45,10 @@ pub struct Report {
     /// Effective ranks.
     pub rank: Rank,
     /// Harder cameras and states.
-    pub hard: Vec<HardRow>,
+    pub hard: Vec<RobustnessRow>,
 }
 
-/// Positions from latents on held-out pictures, l1.
+/// Positions from latents on held-out frames, l1.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct ProbeReport {
     /// UAV, whole disc, 90 % quantile.
@@ -63,14 +65,14 @@ pub struct ProbeReport {
     pub ci: [Interval; 3],
 }
 
-/// The heads, each picture and rollout with a base station anywhere in the frame's square.
+/// The heads, each frame and rollout with a base station anywhere in the frame's square.
 #[derive(Debug, Clone, Serialize)]
 pub struct HeadsReport {
-    /// Area under the curve of p_coll > ½, pictures.
+    /// Area under the curve of p_coll > ½, frames.
     pub auc: f64,
-    /// Expected calibration error of p_coll, pictures.
+    /// Expected calibration error of p_coll, frames.
     pub ece: f64,
-    /// Gain on pictures, rms.
+    /// Gain on frames, rms.
     pub gain_rms_db: f64,
     /// Gain along rollouts of 100 steps from rest, every tenth step, rms.
     pub gain_rollout_rms_db: f64,
@@ -78,11 +80,11 @@ pub struct HeadsReport {
     pub auc_rollout: f64,
     /// Expected calibration error along rollouts.
     pub ece_rollout: f64,
-    /// Gain on pictures with the UAV within 0.06 of the base station, rms.
+    /// Gain on frames with the UAV within 0.06 of the base station, rms.
     pub gain_near_rms_db: f64,
     /// Bootstrap 95 % intervals of auc, ece, gain_rms_db and gain_rollout_rms_db.
     pub ci: [Interval; 4],
-    /// Reliability on pictures: mean predicted and true probability, and count, of ten bins.
+    /// Reliability on frames: mean predicted and true probability, and count, of ten bins.
     pub reliability: Vec<(f64, f64, usize)>,
 }
 
@@ -112,16 +114,16 @@ pub struct Rank {
 #[derive(Debug, Clone)]
 pub struct Measured {
     /// What is printed.
-    pub report: Report,
+    pub report: EvaluationReport,
     /// Errors of every predictor from every start.
-    pub errors: Vec<(Name, Start, Errors)>,
+    pub errors: Vec<(Forecaster, RolloutStart, Errors)>,
 }
 
 /// Measures; `tick` hears of every trajectory encoded.
 #[must_use]
 pub fn measure(
     model: &WorldModel,
-    networks: &Predictors,
+    networks: &Networks,
     config: &ReportConfig,
     scenario: &Scenario,
     tick: impl Fn() + Sync,
@@ -129,23 +131,25 @@ pub fn measure(
     let noise = Noise::new(config.seed ^ EVALUATION);
     let mut errors = Vec::new();
     let mut rest = None;
-    for start in Start::ALL {
+    for start in RolloutStart::ALL {
         let trajectories = rollout::draw(config.trajectories, start, config.window, scenario, &noise);
         let known = rollout::look(model, &trajectories, scenario, &tick);
-        for name in Name::ALL {
-            errors.push((name, start, rollout::errors(model, networks, name, &trajectories, &known)));
+        for name in Forecaster::all() {
+            let found = rollout::errors(model, networks, name, &trajectories, &known);
+            errors.extend(found.map(|found| (name, start, found)));
         }
         rest.get_or_insert((trajectories, known));
     }
     let (trajectories, known) = rest.unwrap_or_default();
-    let rows = errors.iter().flat_map(|(name, start, e)| HORIZONS.map(|h| Row::of(*name, *start, h, e)));
-    let report = Report {
+    let rows =
+        errors.iter().flat_map(|(name, start, e)| HORIZONS.map(|h| RolloutRow::of(*name, *start, h, e)));
+    let report = EvaluationReport {
         rollout: rows.collect(),
         probe: probe(model, config.frames, scenario, &noise),
         heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
         actions: actions(model, &trajectories, &known, &noise),
         rank: rank(model, config.frames.min(2000), scenario, &noise),
-        hard: robustness::hard_table(model, config.frames.min(2000), scenario, &noise),
+        hard: robustness::robustness_table(model, config.frames.min(2000), scenario, &noise),
     };
     Measured { report, errors }
 }
@@ -175,23 +179,23 @@ fn heads_report(
 ) -> HeadsReport {
     let floor = model.card.config.heads.distance_floor;
     let mut rng = noise.generator(Stream::Evaluation, 11);
-    let scenes = labels::sample(frames, Station::Anywhere, scenario, &mut rng);
+    let scenes = labels::sample(frames, BaseStation::Anywhere, scenario, &mut rng);
     let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
     let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
-    let pictures = judged(model, &scenes, &seen, scenario, floor);
+    let frames = judged(model, &scenes, &seen, scenario, floor);
 
     let (mut along, mut places) = (Vec::new(), Vec::new());
     for (t, k) in trajectories.iter().zip(known) {
-        let station = Station::Anywhere.draw(scenario, &mut rng);
+        let station = BaseStation::Anywhere.draw(scenario, &mut rng);
         let obstacle = t.history[t.history.len() - 1][1];
-        let path = rollout::linear(model, k.pair, &t.actions);
+        let path = model.predictor.rollout(k.begin(&t.actions));
         for h in (9..LONGEST).step_by(10) {
             along.push((Scene { uav: t.path[h], obstacle }, station));
             places.push((path[h], k.y_u));
         }
     }
     let rollouts = judged(model, &along, &places, scenario, floor);
-    let near: Vec<f64> = (scenes.iter().zip(&pictures.gain_db))
+    let near: Vec<f64> = (scenes.iter().zip(&frames.gain_db))
         .filter(|((s, station), _)| (s.uav - station).norm() < 0.06)
         .map(|(_, e)| *e)
         .collect();
@@ -203,9 +207,9 @@ fn heads_report(
     });
     let pick = |picks: &[usize], values: &[f64]| picks.iter().map(|&n| values[n]).collect::<Vec<_>>();
     HeadsReport {
-        auc: auc(&pictures.predicted, &pictures.hit()),
-        ece: calibration_error(&pictures.predicted, &pictures.truth),
-        gain_rms_db: rms(pictures.gain_db.iter().copied()),
+        auc: auc(&frames.predicted, &frames.hit()),
+        ece: calibration_error(&frames.predicted, &frames.truth),
+        gain_rms_db: rms(frames.gain_db.iter().copied()),
         gain_rollout_rms_db: rms(rollouts.gain_db.iter().copied()),
         auc_rollout: auc(&rollouts.predicted, &rollouts.hit()),
         ece_rollout: calibration_error(&rollouts.predicted, &rollouts.truth),
@@ -213,19 +217,19 @@ fn heads_report(
         ci: [
             bootstrap(n, &mut rng, |picks| {
                 let some = Judged {
-                    predicted: pick(picks, &pictures.predicted),
-                    truth: pick(picks, &pictures.truth),
+                    predicted: pick(picks, &frames.predicted),
+                    truth: pick(picks, &frames.truth),
                     gain_db: Vec::new(),
                 };
                 auc(&some.predicted, &some.hit())
             }),
             bootstrap(n, &mut rng, |picks| {
-                calibration_error(&pick(picks, &pictures.predicted), &pick(picks, &pictures.truth))
+                calibration_error(&pick(picks, &frames.predicted), &pick(picks, &frames.truth))
             }),
-            bootstrap(n, &mut rng, |picks| rms(picks.iter().map(|&n| pictures.gain_db[n]))),
+            bootstrap(n, &mut rng, |picks| rms(picks.iter().map(|&n| frames.gain_db[n]))),
             rollouts_ci,
         ],
-        reliability: reliability(&pictures),
+        reliability: reliability(&frames),
     }
 }
 
@@ -252,7 +256,7 @@ fn actions(model: &WorldModel, trajectories: &[Trajectory], known: &[Known], noi
     let ends = |given: &dyn Fn(usize) -> Vec<Vector2<f64>>| -> Vec<f64> {
         let each = trajectories.iter().zip(known).enumerate();
         each.filter_map(|(n, (t, k))| {
-            let path = rollout::linear(model, k.pair, &given(n));
+            let path = model.predictor.rollout(k.begin(&given(n)));
             rollout::off(model, &path, &t.path).last().copied()
         })
         .collect()
@@ -274,7 +278,7 @@ fn rank(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -
     Rank { z_c: effective_rank(&c), z_u: effective_rank(&u) }
 }
 
-impl Report {
+impl EvaluationReport {
     /// The table for people.
     #[must_use]
     pub fn table(&self) -> String {
@@ -300,10 +304,10 @@ impl Report {
             ("100 steps from rest, true actions, p90", with(a.true_px, a.ci[0], " px")),
             ("  zero actions", with(a.zero_px, a.ci[1], " px")),
             ("  shuffled actions", with(a.shuffled_px, a.ci[2], " px")),
-            ("collision AUC, pictures", with(h.auc, h.ci[0], "")),
-            ("collision ECE, pictures", with(h.ece, h.ci[1], "")),
+            ("collision AUC, frames", with(h.auc, h.ci[0], "")),
+            ("collision ECE, frames", with(h.ece, h.ci[1], "")),
             ("collision AUC, ECE, rollouts", format!("{:.4}, {:.4}", h.auc_rollout, h.ece_rollout)),
-            ("gain rms, pictures", with(h.gain_rms_db, h.ci[2], " dB")),
+            ("gain rms, frames", with(h.gain_rms_db, h.ci[2], " dB")),
             ("gain rms, rollouts", with(h.gain_rollout_rms_db, h.ci[3], " dB")),
             ("gain rms, within 0.06 of the base station", format!("{:.4} dB", h.gain_near_rms_db)),
         ];

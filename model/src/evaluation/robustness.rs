@@ -17,13 +17,14 @@ use crate::encoder::infer::Latent;
 use crate::encoder::probe::quantile;
 use crate::encoder::weights::vector;
 use crate::heads::labels::{self, Scene};
+use crate::predictor::Begin;
 use crate::training::lens::{Lens, Lenses, MIXED, Shot};
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{EDGE_BAND, OBSTACLE_SPEED, START_SPEED};
 
 /// One case: 90 % quantiles of the l1 errors, px.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct HardRow {
+pub struct RobustnessRow {
     /// What is hard about it.
     pub case: String,
     /// UAV.
@@ -32,13 +33,18 @@ pub struct HardRow {
     pub z_u_p90_px: f64,
 }
 
-/// Steps that the cases with moving bodies look ahead, from two pictures.
+/// Steps that the cases with moving bodies look ahead, from two frames.
 pub const AHEAD: usize = 10;
 
-/// All cases, `count` pictures or flights each.
+/// All cases, `count` frames or flights each.
 #[must_use]
-pub fn hard_table(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> Vec<HardRow> {
-    let pictures = picture_cases(scenario).into_iter().map(|case| {
+pub fn robustness_table(
+    model: &WorldModel,
+    count: usize,
+    scenario: &Scenario,
+    noise: &Noise,
+) -> Vec<RobustnessRow> {
+    let frames = frame_cases(scenario).into_iter().map(|case| {
         let errors = decode(model, &case, count, noise);
         row(case.name.into(), errors)
     });
@@ -46,12 +52,12 @@ pub fn hard_table(model: &WorldModel, count: usize, scenario: &Scenario, noise: 
         let errors = look_ahead(model, &case, count, scenario, noise);
         row(format!("{}, {AHEAD} steps ahead", case.name), errors)
     });
-    pictures.chain(flights).collect()
+    frames.chain(flights).collect()
 }
 
 /// 90 % quantiles of the l1 errors through some cameras, px.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Decoded {
+pub struct DecodeErrors {
     /// UAV, whole disc.
     pub whole_px: f64,
     /// UAV, disc cut by the edge.
@@ -60,57 +66,54 @@ pub struct Decoded {
     pub obstacle_px: f64,
 }
 
-/// Decode errors on `count` pictures with whole discs and as many with cut ones, taken by `lenses`.
+/// Decode errors on `count` frames with whole discs and as many with cut ones, taken by `lenses`.
 #[must_use]
-pub fn through(
+pub fn decode_errors(
     model: &WorldModel,
     lenses: &Lenses,
     count: usize,
     scenario: &Scenario,
     noise: &Noise,
-) -> Decoded {
+) -> DecodeErrors {
     let of = |wanted: fn(&Scene, &Scenario) -> bool| {
         decode_with(model, scenario, wanted, count, noise, |frame, shot| lenses.take(frame, shot))
     };
     let ([whole, obstacle], [cut, _]) = (of(whole), of(cut));
-    Decoded {
+    DecodeErrors {
         whole_px: quantile(&whole, 0.9),
         cut_px: quantile(&cut, 0.9),
         obstacle_px: quantile(&obstacle, 0.9),
     }
 }
 
-/// A way to take pictures, and which scenes.
-struct PictureCase {
+/// A way to take frames, and which scenes.
+struct FrameCase {
     name: &'static str,
     lens: Lens,
     scenario: Scenario,
     wanted: fn(&Scene, &Scenario) -> bool,
 }
 
-fn picture_cases(scenario: &Scenario) -> Vec<PictureCase> {
+fn frame_cases(scenario: &Scenario) -> Vec<FrameCase> {
     let clean = Lens::default();
     let with_radius = |radius: f64| {
         let mut other = scenario.clone();
         other.obstacles[0].radius = radius;
         other
     };
-    let case = |name, lens| PictureCase { name, lens, scenario: scenario.clone(), wanted: anything };
+    let case = |name, lens| FrameCase { name, lens, scenario: scenario.clone(), wanted: anything };
     vec![
-        PictureCase { wanted: whole, ..case("clean, whole disc", clean) },
-        PictureCase { wanted: cut, ..case("disc cut by the edge", clean) },
-        PictureCase { wanted: overlapping, ..case("UAV over the obstacle", clean) },
-        PictureCase { wanted: whole, ..case("mixed colours", MIXED) },
-        PictureCase { wanted: whole, ..case("pixel noise 2/255", Lens { noise: 2.0, ..clean }) },
-        PictureCase { wanted: whole, ..case("pixel noise 5/255", Lens { noise: 5.0, ..clean }) },
-        PictureCase {
-            wanted: whole,
-            ..case("mixed colours, pixel noise 2/255", Lens { noise: 2.0, ..MIXED })
-        },
-        PictureCase { wanted: whole, ..case("texture up to 20/255", Lens { texture: 20.0, ..clean }) },
-        PictureCase { wanted: whole, ..case("brightness drift 20 %", Lens { drift: 0.2, ..clean }) },
-        PictureCase { wanted: whole, scenario: with_radius(0.08), ..case("obstacle radius 0.08", clean) },
-        PictureCase { wanted: whole, scenario: with_radius(0.12), ..case("obstacle radius 0.12", clean) },
+        FrameCase { wanted: whole, ..case("clean, whole disc", clean) },
+        FrameCase { wanted: cut, ..case("disc cut by the edge", clean) },
+        FrameCase { wanted: overlapping, ..case("UAV over the obstacle", clean) },
+        FrameCase { wanted: whole, ..case("mixed colours", MIXED) },
+        FrameCase { wanted: whole, ..case("pixel noise 2/255", Lens { noise: 2.0, ..clean }) },
+        FrameCase { wanted: whole, ..case("pixel noise 5/255", Lens { noise: 5.0, ..clean }) },
+        FrameCase { wanted: whole, ..case("mixed colours, pixel noise 2/255", Lens { noise: 2.0, ..MIXED }) },
+        FrameCase { wanted: whole, ..case("texture up to 20/255", Lens { texture: 20.0, ..clean }) },
+        FrameCase { wanted: whole, ..case("brightness drift 20 %", Lens { drift: 0.2, ..clean }) },
+        FrameCase { wanted: whole, scenario: with_radius(0.08), ..case("obstacle radius 0.08", clean) },
+        FrameCase { wanted: whole, scenario: with_radius(0.12), ..case("obstacle radius 0.12", clean) },
     ]
 }
 
@@ -139,16 +142,16 @@ fn overlapping(scene: &Scene, scenario: &Scenario) -> bool {
 /// Errors of UAV and obstacle.
 type Errors = [Vec<f64>; 2];
 
-fn row(case: String, [c, u]: Errors) -> HardRow {
-    HardRow { case, z_c_p90_px: quantile(&c, 0.9), z_u_p90_px: quantile(&u, 0.9) }
+fn row(case: String, [c, u]: Errors) -> RobustnessRow {
+    RobustnessRow { case, z_c_p90_px: quantile(&c, 0.9), z_u_p90_px: quantile(&u, 0.9) }
 }
 
 fn l1(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
     SIDE as f64 * (a - b).abs().sum()
 }
 
-/// Decode errors on `count` pictures of the case.
-fn decode(model: &WorldModel, case: &PictureCase, count: usize, noise: &Noise) -> Errors {
+/// Decode errors on `count` frames of the case.
+fn decode(model: &WorldModel, case: &FrameCase, count: usize, noise: &Noise) -> Errors {
     let take = |frame, shot| case.lens.take(frame, shot, noise);
     decode_with(model, &case.scenario, case.wanted, count, noise, take)
 }
@@ -194,14 +197,14 @@ fn flight_cases(scenario: &Scenario) -> [FlightCase; 3] {
     ]
 }
 
-/// A short flight: both bodies in the two pictures and at the end, and the actions.
-struct Flight {
+/// A short flight: both bodies in the two frames and at the end, and the actions.
+struct ShortFlight {
     seen: [Scene; 2],
     actions: Vec<Vector2<f64>>,
     end: Scene,
 }
 
-/// Errors of the positions predicted [`AHEAD`] steps ahead from two clean pictures and the actions.
+/// Errors of the positions predicted [`AHEAD`] steps ahead from two clean frames and the actions.
 fn look_ahead(
     model: &WorldModel,
     case: &FlightCase,
@@ -210,11 +213,11 @@ fn look_ahead(
     noise: &Noise,
 ) -> Errors {
     let mut rng = noise.generator(Stream::Evaluation, 31);
-    let flights: Vec<Flight> = std::iter::repeat_with(|| fly(case, scenario, &mut rng))
+    let flights: Vec<ShortFlight> = std::iter::repeat_with(|| fly(case, scenario, &mut rng))
         .filter(|f| f.seen.iter().chain([&f.end]).all(|s| whole(s, scenario)))
         .take(count)
         .collect();
-    let psi = model.reduced();
+    let uncontrollable = model.uncontrollable();
     let (c, u) = flights
         .par_iter()
         .map(|flight| {
@@ -222,18 +225,19 @@ fn look_ahead(
             let start = |of: fn(&WorldModel, &Latent) -> [f32; 2]| {
                 (vector(of(model, &now)), vector(of(model, &before)))
             };
-            let (mut c, mut u) = (start(WorldModel::y_c), start(WorldModel::y_u));
-            for a in &flight.actions {
-                c = (psi.step_c(c.0, c.1, *a), c.0);
-                u = (psi.step_u(u.0, u.1), u.0);
+            let (c, mut u) = (start(WorldModel::y_c), start(WorldModel::y_u));
+            let path = model.predictor.rollout(Begin { now: c.0, before: c.1, actions: &flight.actions });
+            for _ in &flight.actions {
+                u = (uncontrollable.coast(u.0, u.1), u.0);
             }
-            (l1(model.probe.c.apply(c.0), flight.end.uav), l1(model.probe.u.apply(u.0), flight.end.obstacle))
+            let uav = model.probe.c.apply(path.last().copied().unwrap_or(c.0));
+            (l1(uav, flight.end.uav), l1(model.probe.u.apply(u.0), flight.end.obstacle))
         })
         .unzip();
     [c, u]
 }
 
-fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> Flight {
+fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> ShortFlight {
     let mut unit = || {
         let angle = std::f64::consts::TAU * rng.random::<f64>();
         Vector2::new(angle.cos(), angle.sin())
@@ -258,12 +262,12 @@ fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> Flight {
         uav = dynamics::step(uav, a, gust, &free);
         actions.push(a);
     }
-    Flight { seen, actions, end: at(uav.r, AHEAD + 1) }
+    ShortFlight { seen, actions, end: at(uav.r, AHEAD + 1) }
 }
 
 /// The table for people: one row a case, one pair of columns a model.
 #[must_use]
-pub fn table(names: &[&str], rows: &[Vec<HardRow>]) -> String {
+pub fn table(names: &[&str], rows: &[Vec<RobustnessRow>]) -> String {
     let Some(cases) = rows.first() else { return String::new() };
     let head: String = names.iter().map(|name| format!(" {name} z_c | {name} z_u |")).collect();
     let line = "---|".repeat(1 + 2 * names.len());

@@ -1,7 +1,7 @@
 //! Rollouts of every predictor from three start conditions, compared with where the UAV really went.
 //!
-//! All predictors forecast from the same picture. What differs is what is known of the time before it:
-//! the observer sees a window of pictures and the actions between them, the others the last two.
+//! All predictors forecast from the same frame. What differs is what is known of the time before it:
+//! the observer sees a window of frames and the actions between them, the others the last two.
 
 use crpl_sitl::camera::{self, SIDE};
 use crpl_sitl::scenario::Scenario;
@@ -14,16 +14,16 @@ use serde::Serialize;
 
 use crate::encoder::probe::quantile;
 use crate::evaluation::intervals::{self, Interval};
-use crate::predictor::networks::{Begin, Predictors};
-use crate::predictor::observer::{Observer, Seen};
+use crate::predictor::observer::{LatentObserver, LatentReading};
+use crate::predictor::{Begin, Networks, Predictor, PredictorKind};
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{OBSTACLE_SPEED, START_SPEED};
 
 /// How a trajectory begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Start {
-    /// UAV and obstacle rest: all pictures of the window are equal.
+pub enum RolloutStart {
+    /// UAV and obstacle rest: all frames of the window are equal.
     Rest,
     /// The UAV rests, the obstacle moves.
     RestMovingObstacle,
@@ -31,7 +31,7 @@ pub enum Start {
     Moving,
 }
 
-impl Start {
+impl RolloutStart {
     /// All, in the order of the tables.
     pub const ALL: [Self; 3] = [Self::Rest, Self::RestMovingObstacle, Self::Moving];
 }
@@ -39,22 +39,22 @@ impl Start {
 /// Who predicts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Name {
-    /// The linear second-order predictor on the last two latents.
-    Linear,
-    /// The MLP on the same.
-    Mlp,
-    /// The LSTM on the same.
-    Lstm,
+pub enum Forecaster {
     /// The last step for ever.
     ConstantVelocity,
     /// The linear predictor on what the observer makes of its window.
     Observer,
+    /// A predictor on the last two latents.
+    #[serde(untagged)]
+    Predictor(PredictorKind),
 }
 
-impl Name {
+impl Forecaster {
     /// All, in the order of the tables.
-    pub const ALL: [Self; 5] = [Self::Linear, Self::Mlp, Self::Lstm, Self::ConstantVelocity, Self::Observer];
+    pub fn all() -> impl Iterator<Item = Self> {
+        let predictors = PredictorKind::ALL.map(Self::Predictor);
+        predictors.into_iter().chain([Self::ConstantVelocity, Self::Observer])
+    }
 }
 
 /// Look-aheads that are reported.
@@ -80,7 +80,7 @@ pub struct Trajectory {
 #[must_use]
 pub fn draw(
     count: usize,
-    start: Start,
+    start: RolloutStart,
     window: usize,
     scenario: &Scenario,
     noise: &Noise,
@@ -103,20 +103,20 @@ pub fn draw(
     found
 }
 
-fn one(start: Start, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Option<Trajectory> {
+fn one(start: RolloutStart, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Option<Trajectory> {
     let inside = |r: Vector2<f64>| r.iter().all(|x| (0.0..=1.0).contains(x));
     let (a_max, v_max) = (scenario.dynamics.a_max, scenario.dynamics.v_max);
     let mut free = scenario.dynamics.clone();
     free.walls = false;
     let now = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
-    let speed = if start == Start::Moving { START_SPEED * rng.random::<f64>() } else { 0.0 };
+    let speed = if start == RolloutStart::Moving { START_SPEED * rng.random::<f64>() } else { 0.0 };
     let v = direction(rng) * speed;
 
     // Backwards in time: v_{k-1} = v_k - a_max a_{k-1}.
     let (mut places, mut flown) = (vec![now], Vec::new());
     let (mut r, mut back) = (now, v);
     for _ in 1..window {
-        let a = if start == Start::Moving { action(rng) } else { Vector2::zeros() };
+        let a = if start == RolloutStart::Moving { action(rng) } else { Vector2::zeros() };
         r -= back;
         back -= a_max * a;
         if !inside(r) || back.norm() > v_max {
@@ -146,7 +146,7 @@ fn one(start: Start, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> 
     let margin = scenario.obstacle().margin;
     let mut place = || margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
     let r = Vector2::new(place(), place());
-    let speed = if start == Start::Rest { 0.0 } else { OBSTACLE_SPEED };
+    let speed = if start == RolloutStart::Rest { 0.0 } else { OBSTACLE_SPEED };
     let mut body = State { r, v: direction(rng) * speed };
     let history = places
         .into_iter()
@@ -171,12 +171,20 @@ fn direction(rng: &mut impl Rng) -> Vector2<f64> {
 /// What is known where a forecast begins, plane coordinates.
 #[derive(Debug, Clone, Copy)]
 pub struct Known {
-    /// y_c of the last picture, and of the one before.
+    /// y_c of the last frame, and of the one before.
     pub pair: [Vector2<f64>; 2],
     /// The same as the observer has them.
     pub observed: [Vector2<f64>; 2],
-    /// y_u of the last picture.
+    /// y_u of the last frame.
     pub y_u: Vector2<f64>,
+}
+
+impl Known {
+    /// A forecast from the last two frames.
+    #[must_use]
+    pub fn begin<'a>(&self, actions: &'a [Vector2<f64>]) -> Begin<'a> {
+        Begin { now: self.pair[0], before: self.pair[1], actions }
+    }
 }
 
 /// Encodes the window of every trajectory and lets the observer read it.
@@ -189,12 +197,12 @@ pub fn look(
 ) -> Vec<Known> {
     let [motion, _] = model.motions(scenario.dynamics.v_max, 0.0);
     let known = trajectories.par_iter().map(|t| {
-        let mut observer = Observer::new(motion, t.history.len());
+        let mut observer = LatentObserver::new(motion.clone(), t.history.len());
         let mut pair = [Vector2::zeros(); 2];
         let mut y_u = Vector2::zeros();
-        let mut last: Option<([Vector2<f64>; 2], [Seen; 2])> = None;
+        let mut last: Option<([Vector2<f64>; 2], [LatentReading; 2])> = None;
         for (k, scene) in t.history.iter().enumerate() {
-            // Equal scenes give equal pictures: encoded once.
+            // Equal scenes give equal frames: encoded once.
             let [c, u] = match last {
                 Some((before, seen)) if before == *scene => seen,
                 _ => model.see(&camera::render(scene[0], scene[1], scenario)),
@@ -214,47 +222,32 @@ pub fn look(
 /// l1 errors of the decoded position, px: one list a trajectory, one entry a step.
 pub type Errors = Vec<Vec<f64>>;
 
-/// The linear predictor's rollout from (newest, before), plane coordinates.
-#[must_use]
-pub fn linear(model: &WorldModel, from: [Vector2<f64>; 2], actions: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
-    let psi = model.reduced();
-    let [mut now, mut before] = from;
-    let path = actions.iter().map(|a| {
-        (now, before) = (psi.step_c(now, before, *a), now);
-        now
-    });
-    path.collect()
-}
-
-/// Errors of one predictor along all trajectories.
+/// Errors of one forecaster along all trajectories; `None` if `networks` lacks it.
 #[must_use]
 pub fn errors(
     model: &WorldModel,
-    networks: &Predictors,
-    name: Name,
+    networks: &Networks,
+    name: Forecaster,
     trajectories: &[Trajectory],
     known: &[Known],
-) -> Errors {
-    let both = || trajectories.par_iter().zip(known.par_iter());
-    let network = |p: &crate::predictor::networks::Predictor| {
+) -> Option<Errors> {
+    let by = |predictor: &Predictor, from: fn(&Known) -> [Vector2<f64>; 2]| {
         let begins: Vec<Begin<'_>> = (trajectories.iter().zip(known))
-            .map(|(t, k)| Begin { now: k.pair[0], before: k.pair[1], actions: &t.actions })
+            .map(|(t, k)| Begin { now: from(k)[0], before: from(k)[1], actions: &t.actions })
             .collect();
-        p.rollouts(&begins)
+        predictor.rollouts(&begins)
     };
     let paths: Vec<Vec<Vector2<f64>>> = match name {
-        Name::Linear => both().map(|(t, k)| linear(model, k.pair, &t.actions)).collect(),
-        Name::Observer => both().map(|(t, k)| linear(model, k.observed, &t.actions)).collect(),
-        Name::Mlp => network(&networks.mlp),
-        Name::Lstm => network(&networks.lstm),
-        Name::ConstantVelocity => both()
+        Forecaster::Predictor(kind) => by(&Predictor::of(kind, model.controllable(), networks)?, |k| k.pair),
+        Forecaster::Observer => by(&Predictor::Linear(model.controllable()), |k| k.observed),
+        Forecaster::ConstantVelocity => (trajectories.par_iter().zip(known))
             .map(|(t, k)| {
                 let step = k.pair[0] - k.pair[1];
                 (1..=t.actions.len()).map(|h| k.pair[0] + step * h as f64).collect()
             })
             .collect(),
     };
-    paths.iter().zip(trajectories).map(|(path, t)| off(model, path, &t.path)).collect()
+    Some(paths.iter().zip(trajectories).map(|(path, t)| off(model, path, &t.path)).collect())
 }
 
 /// l1 distance of the decoded latents to the true places, px.
@@ -278,11 +271,11 @@ pub struct RowIntervals {
 
 /// One predictor, start and look-ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Row {
+pub struct RolloutRow {
     /// Who predicts.
-    pub predictor: Name,
+    pub predictor: Forecaster,
     /// From where.
-    pub start: Start,
+    pub start: RolloutStart,
     /// Look-ahead H, intervals.
     pub h: usize,
     /// Share of errors up to 0.2 px.
@@ -297,10 +290,10 @@ pub struct Row {
     pub ci: RowIntervals,
 }
 
-impl Row {
+impl RolloutRow {
     /// The row at look-ahead `h`, which must be at least 1 and at most the rollouts' length.
     #[must_use]
-    pub fn of(predictor: Name, start: Start, h: usize, errors: &Errors) -> Self {
+    pub fn of(predictor: Forecaster, start: RolloutStart, h: usize, errors: &Errors) -> Self {
         let at: Vec<f64> = errors.iter().map(|e| e[h - 1]).collect();
         let n = at.len().max(1);
         let hits = |px: f64| at.iter().filter(|e| **e <= px).count();
@@ -331,7 +324,7 @@ mod tests {
     #[test]
     fn the_history_obeys_the_dynamics_and_ends_where_the_forecast_begins() {
         let scenario = Scenario::default();
-        for start in Start::ALL {
+        for start in RolloutStart::ALL {
             for t in draw(20, start, 20, &scenario, &Noise::new(3)) {
                 assert!(t.history.len() == 20 && t.flown.len() == 19 && t.path.len() == LONGEST);
                 let r: Vec<_> = t.history.iter().map(|h| h[0]).chain(t.path.clone()).collect();
@@ -341,9 +334,9 @@ mod tests {
                     assert!((bend - 3.5e-3 * actions[k]).norm() < 1e-12, "{start:?}, frame {k}");
                 }
                 let still = t.history[0][0] == t.history[19][0];
-                assert_eq!(still, start != Start::Moving);
+                assert_eq!(still, start != RolloutStart::Moving);
                 let obstacle_still = t.history[0][1] == t.history[19][1];
-                assert_eq!(obstacle_still, start == Start::Rest);
+                assert_eq!(obstacle_still, start == RolloutStart::Rest);
             }
         }
     }
@@ -351,7 +344,7 @@ mod tests {
     #[test]
     fn a_row_counts() {
         let errors: Errors = (0..100).map(|n| vec![f64::from(n) / 10.0]).collect();
-        let row = Row::of(Name::Linear, Start::Rest, 1, &errors);
+        let row = RolloutRow::of(Forecaster::Observer, RolloutStart::Rest, 1, &errors);
         assert!((row.p02 - 0.03).abs() < 1e-12 && (row.p1 - 0.11).abs() < 1e-12);
         assert!((row.p5 - 0.51).abs() < 1e-12 && (row.p90_px - 8.9).abs() < 0.11, "{row:?}");
         assert!(row.ci.p1[0] < 0.11 && row.ci.p1[1] > 0.11);

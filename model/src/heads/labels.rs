@@ -1,7 +1,7 @@
 //! What the risk and channel heads learn from and how they are judged: collision probability and
 //! ln |h|² of a scene and a base station.
 //!
-//! The encoder is frozen: labels never reach it. Pictures are drawn where it matters: a third near a
+//! The encoder is frozen: labels never reach it. Frames are drawn where it matters: a third near a
 //! collision, a third near a blocked line of sight, a third anywhere.
 
 use crpl_sitl::scenario::Scenario;
@@ -15,11 +15,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeadsConfig {
-    /// Labelled pictures.
+    /// Labelled frames.
     pub frames: usize,
     /// Steps of Adam, each head.
     pub steps: usize,
-    /// Pictures a step.
+    /// Frames a step.
     pub batch: usize,
     /// Learning rate at the start; falls to 1 % of it as a cosine.
     pub learning_rate: f64,
@@ -53,7 +53,7 @@ pub struct Label {
 }
 
 impl Scene {
-    /// Its picture.
+    /// Its frame.
     #[must_use]
     pub fn frame(&self, scenario: &Scenario) -> crpl_sitl::camera::Frame {
         crpl_sitl::camera::render(self.uav, self.obstacle, scenario)
@@ -89,14 +89,14 @@ pub fn uniform_scene(scenario: &Scenario, rng: &mut impl Rng) -> Scene {
 
 /// Where the base stands in a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Station {
+pub enum BaseStation {
     /// Where the scenario has it.
     Given,
     /// Anywhere in the frame's square, uniformly: what the heads are trained on.
     Anywhere,
 }
 
-impl Station {
+impl BaseStation {
     /// s_BS, paper units.
     #[must_use]
     pub fn draw(self, scenario: &Scenario, rng: &mut impl Rng) -> Vector2<f64> {
@@ -112,7 +112,7 @@ impl Station {
 #[must_use]
 pub fn sample(
     count: usize,
-    station: Station,
+    station: BaseStation,
     scenario: &Scenario,
     rng: &mut impl Rng,
 ) -> Vec<(Scene, Vector2<f64>)> {

@@ -1,7 +1,7 @@
 //! The risk and channel heads as networks of (y_c, y_u, s_BS), and what they are for one base station.
 //!
 //! The base station's state s_BS is constant in a scenario. [`Heads::at`] folds it in once, so that
-//! flight and Algorithm 1 run networks of four inputs. Knows networks; neither labels nor pictures.
+//! flight and Algorithm 1 run networks of four inputs. Knows networks; neither labels nor frames.
 //!
 //! Free space has no preferred place and no preferred direction: the gain depends on the UAV's distance
 //! d from the base station and on where the obstacle lies along and across the sight line, and on
@@ -13,6 +13,7 @@ use nalgebra::Vector2;
 use crate::encoder::probe::Probe;
 use crate::numeric::kernel;
 use crate::numeric::mlp::Mlp;
+use crate::numeric::tensors::{Reader, Stored, TensorError, Writer};
 
 /// Widths of the risk head: y_c, y_u, s_BS in.
 pub const COLLISION_WIDTHS: [usize; 4] = [6, 64, 64, 1];
@@ -54,7 +55,7 @@ impl Heads {
 
     /// Both heads for a base station at `station`, paper units; `probe` tells where a latent lies.
     #[must_use]
-    pub fn at(&self, station: Vector2<f64>, probe: &Probe) -> HeadsAt {
+    pub fn at(&self, station: Vector2<f64>, probe: &Probe) -> StationHeads {
         let (mut collision, mut gain) = (self.collision.clone(), self.gain.clone());
         // Scales into the first layer's rows, the station's rows into its bias.
         if let Some(first) = collision.layers.first_mut() {
@@ -72,7 +73,31 @@ impl Heads {
             last.w.iter_mut().for_each(|w| *w *= self.gain_std);
             last.b.iter_mut().for_each(|b| *b = b.mul_add(self.gain_std, self.gain_mean));
         }
-        HeadsAt { collision, gain, sight: SightLine::new(station, probe, self.floor) }
+        StationHeads { collision, gain, sight: SightLine::new(station, probe, self.floor) }
+    }
+}
+
+impl Stored for Heads {
+    fn put(&self, out: &mut Writer) {
+        out.mlp("heads.collision", &self.collision);
+        out.mlp("heads.gain", &self.gain);
+        out.f32("heads.gain_mean", &[1], [self.gain_mean]);
+        out.f32("heads.gain_std", &[1], [self.gain_std]);
+        out.f32("heads.scale", &[2], [self.scale_c, self.scale_u]);
+        out.f32("heads.floor", &[1], [self.floor]);
+    }
+
+    fn get(from: &Reader<'_>) -> Result<Self, TensorError> {
+        let scale = from.f32("heads.scale", &[2])?;
+        Ok(Self {
+            collision: from.mlp("heads.collision", &COLLISION_WIDTHS)?,
+            gain: from.mlp("heads.gain", &GAIN_WIDTHS)?,
+            gain_mean: from.f32("heads.gain_mean", &[1])?[0],
+            gain_std: from.f32("heads.gain_std", &[1])?[0],
+            scale_c: scale[0],
+            scale_u: scale[1],
+            floor: from.f32("heads.floor", &[1])?[0],
+        })
     }
 }
 
@@ -83,7 +108,7 @@ fn place(station: Vector2<f64>) -> [f32; 2] {
 
 /// Both heads for one base station.
 #[derive(Debug, Clone, PartialEq)]
-pub struct HeadsAt {
+pub struct StationHeads {
     /// [y_c, y_u] to the logit of the collision probability.
     pub collision: Mlp,
     /// [`SightLine`] coordinates to ln |h|².
@@ -92,7 +117,7 @@ pub struct HeadsAt {
     pub sight: SightLine,
 }
 
-impl HeadsAt {
+impl StationHeads {
     /// Collision probability in (0, 1).
     #[must_use]
     pub fn collision(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {
@@ -127,7 +152,7 @@ pub struct SightLine {
 
 /// What the coordinates' slope needs again.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct SightGeometry {
     r: [f32; 2],
     q: [f32; 2],
     d: f32,
@@ -154,21 +179,21 @@ impl SightLine {
     }
 
     #[inline(always)]
-    fn see(&self, y_c: [f32; 2], y_u: [f32; 2]) -> Seen {
+    fn see(&self, y_c: [f32; 2], y_u: [f32; 2]) -> SightGeometry {
         let map = |m: &[[f32; 2]; 2], b: &[f32; 2], y: [f32; 2]| -> [f32; 2] {
             std::array::from_fn(|i| m[i][0].mul_add(y[0], m[i][1].mul_add(y[1], b[i])))
         };
         let r = map(&self.c, &self.c_offset, y_c);
         let q = map(&self.u, &self.u_offset, y_u);
         let d = r[0].mul_add(r[0], r[1].mul_add(r[1], self.floor * self.floor)).sqrt();
-        Seen { r, q, d }
+        SightGeometry { r, q, d }
     }
 
     /// The four coordinates.
     #[inline(always)]
     #[must_use]
     pub fn coordinates(&self, y_c: [f32; 2], y_u: [f32; 2]) -> [f32; 4] {
-        let Seen { r, q, d } = self.see(y_c, y_u);
+        let SightGeometry { r, q, d } = self.see(y_c, y_u);
         let e = [r[0] / d, r[1] / d];
         let along = q[0].mul_add(e[0], q[1] * e[1]);
         let across = q[0].mul_add(e[1], -(q[1] * e[0]));
@@ -179,7 +204,7 @@ impl SightLine {
     #[inline(always)]
     #[must_use]
     pub fn pull_back(&self, y_c: [f32; 2], y_u: [f32; 2], slope: [f32; 4]) -> [f32; 2] {
-        let Seen { r, q, d } = self.see(y_c, y_u);
+        let SightGeometry { r, q, d } = self.see(y_c, y_u);
         let by_e =
             [3.0 * slope[2] * q[0] - 6.0 * slope[3] * q[1], 3.0 * slope[2] * q[1] + 6.0 * slope[3] * q[0]];
         let by_d = slope[0] / d + 3.0 * slope[1] - 1.5 * slope[2];

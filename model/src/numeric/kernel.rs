@@ -89,17 +89,17 @@ pub fn sigmoid(x: f32) -> f32 {
 
 /// y = x W + b for all lanes: `w` row-major [inputs][outputs], `x` [inputs], `y` [outputs].
 pub fn affine(w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane]) {
-    Arch::new().dispatch(Affine { w, b, x, y });
+    Arch::new().dispatch(AffineKernel { w, b, x, y });
 }
 
-struct Affine<'a> {
+struct AffineKernel<'a> {
     w: &'a [f32],
     b: &'a [f32],
     x: &'a [Lane],
     y: &'a mut [Lane],
 }
 
-impl WithSimd for Affine<'_> {
+impl WithSimd for AffineKernel<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -1,6 +1,6 @@
-//! What the rest computes with: inner loops, small networks, optimisers.
+//! What the rest computes with: inner loops, small networks, the optimiser, tensors in files.
 
 pub mod adam;
-pub mod adamw;
 pub mod kernel;
 pub mod mlp;
+pub mod tensors;

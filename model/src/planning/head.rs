@@ -8,10 +8,10 @@ use crate::planning::lanes::{HIDDEN, tanh_all, times_tanh_slope};
 
 /// A head with scalar output.
 #[derive(Debug, Clone)]
-pub struct Head(Kind);
+pub struct Head(HeadKind);
 
 #[derive(Debug, Clone)]
-enum Kind {
+enum HeadKind {
     Learned(Learned),
     Exact(Box<Exact>),
 }
@@ -20,21 +20,21 @@ impl Head {
     /// A learned head, a 4-64-64-1 network; `None` for other widths.
     #[must_use]
     pub fn new(net: Mlp, sight: Option<SightLine>) -> Option<Self> {
-        Some(Self(Kind::Learned(Learned::new(net, sight)?)))
+        Some(Self(HeadKind::Learned(Learned::new(net, sight)?)))
     }
 
     /// The simulator's equation in a head's place.
     #[must_use]
     pub fn exact(equation: Exact) -> Self {
-        Self(Kind::Exact(Box::new(equation)))
+        Self(HeadKind::Exact(Box::new(equation)))
     }
 
     /// The output for all lanes.
     #[inline(always)]
     pub(super) fn value(&self, y: &[Lane; 4]) -> Lane {
         match &self.0 {
-            Kind::Learned(head) => head.value(y),
-            Kind::Exact(head) => head.value(y),
+            HeadKind::Learned(head) => head.value(y),
+            HeadKind::Exact(head) => head.value(y),
         }
     }
 
@@ -42,8 +42,8 @@ impl Head {
     #[inline(always)]
     pub(super) fn gradient(&self, y: &[Lane; 4]) -> [Lane; 2] {
         match &self.0 {
-            Kind::Learned(head) => head.gradient(y),
-            Kind::Exact(head) => head.gradient(y),
+            HeadKind::Learned(head) => head.gradient(y),
+            HeadKind::Exact(head) => head.gradient(y),
         }
     }
 }

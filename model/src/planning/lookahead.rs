@@ -10,8 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::numeric::kernel::{LANES, ZERO};
 use crate::numeric::mlp::Mlp;
-use crate::planning::objective::{self, Draws, Execution, Objective, Setting};
-use crate::planning::problem::{Here, Stage};
+use crate::planning::objective;
+use crate::planning::plant::{Draws, Execution, Objective, RolloutOptions};
+use crate::planning::problem::{PlanningProblem, PlanningState};
 use crpl_sitl::units::Motion;
 
 /// Which openings there are, and how they are scored. `Default` as argued in docs/choices.md.
@@ -73,20 +74,26 @@ impl Lookahead {
     /// The first motion of the best opening; `None` where π_s alone is best. `motion` is π_s,
     /// `remaining` the intervals of the flight that are left.
     #[must_use]
-    pub fn best(&self, stage: &Stage, motion: &Mlp, here: &Here, remaining: usize) -> Option<Motion> {
+    pub fn best(
+        &self,
+        problem: &PlanningProblem,
+        motion: &Mlp,
+        state: &PlanningState,
+        remaining: usize,
+    ) -> Option<Motion> {
         let horizon = self.config.horizon.min(remaining);
         if horizon == 0 {
             return None;
         }
-        let calm = stage.calm(here, horizon);
+        let calm = problem.calm(state, horizon);
         let draws: Vec<Draws> = self
             .openings
             .chunks(LANES)
             .map(|some| Draws { opening: rows(some, horizon), ..calm.clone() })
             .collect();
         let (o, eta) = (&self.objective, self.config.eta);
-        let setting = Setting { eta: Some(eta), power: 4.0, execution: Execution::Nearest };
-        let (_, scores) = objective::evaluate(&stage.plant, o, setting, motion, &draws);
+        let options = RolloutOptions { eta: Some(eta), power: 4.0, execution: Execution::Nearest };
+        let (_, scores) = objective::evaluate(&problem.plant, o, options, motion, &draws);
         let (w, eps) = objective::barrier_weight(eta, o.barrier_residual);
         let rollouts = scores.cost.iter().zip(&scores.safe).zip(&scores.comm);
         let j = rollouts.map(|((cost, safe), comm)| cost + objective::barrier(*safe, *comm, w, eps, o));
@@ -119,14 +126,14 @@ fn rows(some: &[Vec<Motion>], horizon: usize) -> Vec<[Option<[f32; 2]>; LANES]> 
     (0..longest).map(|k| std::array::from_fn(|lane| at(lane, k))).collect()
 }
 
-impl Stage {
-    /// Rollouts that all begin at `here`, in still air.
-    fn calm(&self, here: &Here, horizon: usize) -> Draws {
+impl PlanningProblem {
+    /// Rollouts that all begin at `state`, in still air.
+    fn calm(&self, state: &PlanningState, horizon: usize) -> Draws {
         let lanes = |y: [f32; 2]| y.map(|v| [v; LANES]);
         Draws {
-            start: here.y_c.map(lanes),
-            obstacles: here.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
-            told: Some(self.obstacle),
+            start: state.y_c.map(lanes),
+            obstacles: state.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
+            reported_obstacle: Some(self.obstacle),
             wind: vec![[ZERO; 2]; horizon],
             opening: Vec::new(),
         }
@@ -139,7 +146,7 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
-    use crate::planning::algorithm1::OptimiseConfig;
+    use crate::planning::config::OptimiseConfig;
     use crate::planning::policy::Policies;
     use crate::world_model::WorldModel;
 
@@ -160,7 +167,7 @@ mod tests {
         let policies = Policies::shipped(2).unwrap();
         let scenario = Scenario::default();
         let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
-        let stage = Stage::of(&world, &scenario, &config, 0).unwrap();
+        let problem = PlanningProblem::of(&world, &scenario, &config, 0).unwrap();
         let lookahead = Lookahead::new(LookaheadConfig::default(), &config.objective);
         let see = |uav: [f64; 2], obstacle: Vector2<f64>| {
             let latent = world.encode(&camera::render(Vector2::from(uav), obstacle, &scenario));
@@ -170,13 +177,13 @@ mod tests {
             let now = Vector2::from(obstacle);
             let before = now - Vector2::from(speed);
             let there = |place: Vector2<f64>| see([0.1, 0.9], place).1;
-            let here = Here {
+            let state = PlanningState {
                 y_c: [see([0.7, 0.5], now).0, see([0.68, 0.5], now).0],
                 y_u: std::iter::once([there(now), there(before)])
                     .chain(second.map(|place| [there(Vector2::from(place)); 2]))
                     .collect(),
             };
-            lookahead.best(&stage, &policies.motion, &here, 60)
+            lookahead.best(&problem, &policies.motion, &state, 60)
         };
         let away = [0.3, 0.2];
         let free = decide(away, [0.0; 2], None);

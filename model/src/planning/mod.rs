@@ -1,14 +1,16 @@
 //! Algorithm 1: π_s and π_p optimised on latent rollouts, once or in flight.
 
 pub mod algorithm1;
-mod area;
-mod exact;
-mod head;
+pub mod area;
+pub mod config;
+pub mod exact;
+pub mod head;
 pub(crate) mod lanes;
-mod lookahead;
+pub mod lookahead;
 pub mod objective;
+pub mod plant;
 pub mod policy;
 mod power;
-mod problem;
-mod receding;
+pub mod problem;
+pub mod receding;
 mod rollout;

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 use crate::numeric::kernel::{LANES, Lane, ZERO};
 use crate::numeric::mlp::Mlp;
 use crate::planning::lanes::{self, HIDDEN};
-use crate::planning::objective::{self, Estimate, Objective};
+use crate::planning::objective;
+use crate::planning::plant::{Objective, ObjectiveEstimate};
 use crate::planning::policy::{FEATURES, Policies};
 
 /// The policies' inputs and γ/γ_min at a_p = 1 in one interval of [`LANES`] rollouts.
@@ -45,7 +46,7 @@ pub(super) fn power_gradient(
     eps: f64,
     net: &Mlp,
     batch: &[&[Sample]],
-) -> (Estimate, Mlp) {
+) -> (ObjectiveEstimate, Mlp) {
     let rollouts = (batch.len() * LANES) as f64;
     let horizon = batch[0].len() as f64;
     let alpha = objective.alpha as f32;
@@ -54,8 +55,12 @@ pub(super) fn power_gradient(
     let spent = passes.iter().map(|p| p.spent).sum::<f64>() / rollouts;
     let margin = connected - 1.0 + objective.outage_tolerance;
     let cost = objective.lambda_power * spent;
-    let estimate =
-        Estimate { j: cost - w * objective::log_ext(margin, eps), cost, p_safe: f64::NAN, p_comm: connected };
+    let estimate = ObjectiveEstimate {
+        j: cost - w * objective::log_ext(margin, eps),
+        cost,
+        p_safe: f64::NAN,
+        p_comm: connected,
+    };
     let d_outage = (w / margin.max(eps) / (rollouts * horizon)) as f32;
     let d_spent = (objective.lambda_power / rollouts) as f32;
     let grads: Vec<Mlp> =

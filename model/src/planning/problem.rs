@@ -1,5 +1,5 @@
-//! A scenario seen through the encoder: what Algorithm 1 knows of it. The only place here that draws
-//! pictures.
+//! A scenario seen through the encoder: what Algorithm 1 knows of it. The only place state that draws
+//! frames.
 
 use crpl_sitl::scenario::Obstacle;
 use crpl_sitl::world::dynamics::limit_speed;
@@ -12,16 +12,19 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::numeric::kernel::{LANES, Lane, ZERO};
-use crate::planning::algorithm1::{Heads, OptimiseConfig, OptimiseError};
-use crate::planning::objective::{Area, Draws, Exact, Head, Plant, Quantity};
-use crate::world_model::{HeadsAt, WorldModel, checkpoint};
+use crate::planning::area::Area;
+use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};
+use crate::planning::exact::{Exact, Quantity};
+use crate::planning::head::Head;
+use crate::planning::plant::{Draws, Plant};
+use crate::world_model::{StationHeads, WorldModel, checkpoint};
 
-/// What the encoder must provide: plane coordinates of a picture of UAV and obstacle.
+/// What the encoder must provide: plane coordinates of a frame of UAV and obstacle.
 pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
 
 /// A belief to plan from: plane coordinates, each now and one interval ago.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Here {
+pub struct PlanningState {
     /// y_c
     pub y_c: [[f32; 2]; 2],
     /// y_u of each obstacle
@@ -30,7 +33,7 @@ pub struct Here {
 
 /// A scenario seen through the encoder: start pairs, obstacle places.
 #[derive(Debug, Clone)]
-pub struct Stage {
+pub struct PlanningProblem {
     pub(super) plant: Plant,
     /// Fingerprint of the world model.
     pub(super) world: String,
@@ -44,7 +47,7 @@ pub struct Stage {
     wind: f32,
 }
 
-impl Stage {
+impl PlanningProblem {
     /// The scenario as `world` sees it.
     pub fn of(
         world: &WorldModel,
@@ -118,11 +121,11 @@ impl Stage {
         &self.plant
     }
 
-    /// Rollouts that all begin at `here`, gusts by (seed, index).
+    /// Rollouts that all begin at `state`, gusts by (seed, index).
     #[must_use]
     pub fn draws_from(
         &self,
-        here: &Here,
+        state: &PlanningState,
         noise: &Noise,
         index: u64,
         rollouts: usize,
@@ -139,9 +142,9 @@ impl Stage {
                     })
                 };
                 Draws {
-                    start: here.y_c.map(lanes),
-                    obstacles: here.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
-                    told: Some(self.obstacle),
+                    start: state.y_c.map(lanes),
+                    obstacles: state.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
+                    reported_obstacle: Some(self.obstacle),
                     wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
                     opening: Vec::new(),
                 }
@@ -181,7 +184,7 @@ impl Stage {
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
                 let obstacles = vec![[fixed, fixed]];
-                Draws { start, obstacles, told: None, wind, opening: Vec::new() }
+                Draws { start, obstacles, reported_obstacle: None, wind, opening: Vec::new() }
             })
             .collect()
     }
@@ -189,19 +192,15 @@ impl Stage {
 
 /// The learned world in plane coordinates; base station and noise power folded into the heads.
 fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
-    let psi = world.reduced();
-    let rows = |m: &nalgebra::Matrix2<f64>| {
-        [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
-    };
     let (collision, gain) = match config.heads {
-        Heads::Learned => learned_heads(world, scenario)?,
-        Heads::Exact => [Quantity::CollisionLogit, Quantity::LogGain]
+        HeadSource::Learned => learned_heads(world, scenario)?,
+        HeadSource::Exact => [Quantity::CollisionLogit, Quantity::LogGain]
             .map(|quantity| Head::exact(Exact::new(quantity, world.probe, scenario.clone())))
             .into(),
     };
     Ok(Plant {
-        psi_c: [rows(&psi.c0), rows(&psi.c1), rows(&psi.ca)],
-        psi_u: [rows(&psi.u0), rows(&psi.u1)],
+        predictor: world.predictor.clone(),
+        uncontrollable: world.uncontrollable(),
         scale: world.scale as f32,
         v_max: scenario.dynamics.v_max as f32,
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
@@ -215,7 +214,7 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
 
 /// The world model's heads of risk and gain, the noise power folded in.
 fn learned_heads(world: &WorldModel, scenario: &Scenario) -> Result<(Head, Head), OptimiseError> {
-    let HeadsAt { collision, mut gain, sight } = world.heads_at(scenario.channel.base_station);
+    let StationHeads { collision, mut gain, sight } = world.station_heads(scenario.channel.base_station);
     if let Some(last) = gain.layers.last_mut() {
         last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
     }

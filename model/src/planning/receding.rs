@@ -1,4 +1,4 @@
-//! Algorithm 1's stage 1 in flight: every few intervals a few iterations on rollouts that begin at the
+//! Algorithm 1's problem 1 in flight: every few intervals a few iterations on rollouts that begin at the
 //! present belief, from the policy that flew so far.
 //!
 //! The budget is counted in iterations, so equal beliefs give equal policies on every machine.
@@ -7,11 +7,12 @@ use crpl_sitl::units::Motion;
 use crpl_sitl::world::noise::Noise;
 use serde::{Deserialize, Serialize};
 
-use crate::numeric::adam::Adam;
+use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::mlp::Mlp;
 use crate::planning::lookahead::{Lookahead, LookaheadConfig};
-use crate::planning::objective::{self, Draws, Execution, Objective, Setting};
-use crate::planning::problem::{Here, Stage};
+use crate::planning::objective;
+use crate::planning::plant::{Draws, Execution, Objective, RolloutOptions};
+use crate::planning::problem::{PlanningProblem, PlanningState};
 
 /// The budget. `Default` as argued in docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -53,7 +54,7 @@ impl Default for RecedingConfig {
 /// π_s under way.
 #[derive(Debug, Clone)]
 pub struct Receding {
-    stage: Stage,
+    problem: PlanningProblem,
     objective: Objective,
     config: RecedingConfig,
     lookahead: Lookahead,
@@ -62,11 +63,11 @@ pub struct Receding {
 }
 
 impl Receding {
-    /// Starts from `motion`, which was optimised for `stage`.
+    /// Starts from `motion`, which was optimised for `problem`.
     #[must_use]
-    pub fn new(stage: Stage, objective: Objective, config: RecedingConfig, motion: Mlp) -> Self {
+    pub fn new(problem: PlanningProblem, objective: Objective, config: RecedingConfig, motion: Mlp) -> Self {
         let lookahead = Lookahead::new(config.lookahead.clone(), &objective);
-        Self { stage, objective, config, lookahead, noise: Noise::new(0), motion }
+        Self { problem, objective, config, lookahead, noise: Noise::new(0), motion }
     }
 
     /// The policy as it is.
@@ -75,42 +76,42 @@ impl Receding {
         &self.motion
     }
 
-    /// y_u that the policy is told: the obstacle's place in its training.
+    /// y_u that the policy reads: the obstacle's place in its training.
     #[must_use]
-    pub fn told(&self) -> [f32; 2] {
-        self.stage.obstacle
+    pub fn reported_obstacle(&self) -> [f32; 2] {
+        self.problem.obstacle
     }
 
-    /// The motion that beats π_s from `here` on, if one of the openings does; `remaining` intervals
+    /// The motion that beats π_s from `state` on, if one of the openings does; `remaining` intervals
     /// before the end.
     #[must_use]
-    pub fn better(&self, here: &Here, remaining: usize) -> Option<Motion> {
+    pub fn better(&self, state: &PlanningState, remaining: usize) -> Option<Motion> {
         let ahead = remaining.max(self.config.least_horizon);
-        self.lookahead.best(&self.stage, &self.motion, here, ahead)
+        self.lookahead.best(&self.problem, &self.motion, state, ahead)
     }
 
     /// Re-optimises at every [`RecedingConfig::every`]th tick, `remaining` intervals before the end.
     /// The new policy is kept if it is better on rollouts that it was not made from.
-    pub fn at(&mut self, tick: u64, here: &Here, remaining: usize) {
+    pub fn at(&mut self, tick: u64, state: &PlanningState, remaining: usize) {
         let c = &self.config;
         if !tick.is_multiple_of(c.every.max(1)) || c.iterations == 0 {
             return;
         }
         let horizon = remaining.max(c.least_horizon);
-        let setting = Setting { eta: Some(c.eta), power: 4.0, execution: Execution::Nearest };
+        let options = RolloutOptions { eta: Some(c.eta), power: 4.0, execution: Execution::Nearest };
         let draws = |n: u64| -> Vec<Draws> {
-            self.stage.draws_from(here, &self.noise, (tick << 8) | n, c.rollouts, horizon)
+            self.problem.draws_from(state, &self.noise, (tick << 8) | n, c.rollouts, horizon)
         };
         let mut next = self.motion.clone();
-        let mut adam = Adam::new(&next, c.learning_rate, c.gradient_clip);
+        let mut adam = Adam::of(&next, Betas::SLOW);
         for i in 0..c.iterations as u64 {
             let (_, grad) =
-                objective::gradient(&self.stage.plant, &self.objective, setting, &next, &draws(i + 1));
-            adam.descend(&mut next, &grad);
+                objective::gradient(&self.problem.plant, &self.objective, options, &next, &draws(i + 1));
+            adam.descend(&mut next, &grad, c.gradient_clip, c.learning_rate);
         }
         let common = draws(0);
         let j =
-            |net: &Mlp| objective::evaluate(&self.stage.plant, &self.objective, setting, net, &common).0.j;
+            |net: &Mlp| objective::evaluate(&self.problem.plant, &self.objective, options, net, &common).0.j;
         if j(&next) < j(&self.motion) {
             self.motion = next;
         }

@@ -5,14 +5,16 @@ use multiversion::multiversion;
 
 use crate::numeric::kernel::{self, LANES, Lane, ZERO};
 use crate::numeric::mlp::Mlp;
+use crate::planning::area::Area;
 use crate::planning::lanes::{Back, HIDDEN, probabilities, weight_gradient};
-use crate::planning::objective::{Area, Draws, Execution, Limits, Objective, Plant, Setting};
+use crate::planning::plant::{Draws, Execution, Objective, Plant, RolloutLimits, RolloutOptions};
 use crate::planning::policy::FEATURES;
+use crate::predictor::Memory;
 
 const MOTIONS: usize = 5;
 
 /// Everything that the backward pass reads again, for one block.
-pub(super) struct Trace {
+pub(super) struct RolloutTrace {
     x: Vec<Lane>,
     h1: Vec<Lane>,
     h2: Vec<Lane>,
@@ -30,6 +32,8 @@ pub(super) struct Trace {
     /// γ/γ_min and smooth outage at k.
     ratio: Vec<Lane>,
     outage: Vec<Lane>,
+    /// What the predictor takes back.
+    memory: Memory,
     pub(super) cost: Lane,
     pub(super) safe: Lane,
     pub(super) comm: Lane,
@@ -40,21 +44,6 @@ pub(super) struct Share {
     pub(super) each: f32,
     pub(super) d_safe: f32,
     pub(super) d_comm: f32,
-}
-
-#[inline(always)]
-fn apply(m: &[[f32; 2]; 2], v: &[Lane; 2], out: &mut [Lane; 2]) {
-    for (row, o) in m.iter().zip(out) {
-        for ((o, a), b) in o.iter_mut().zip(&v[0]).zip(&v[1]) {
-            *o = row[0].mul_add(*a, row[1].mul_add(*b, *o));
-        }
-    }
-}
-
-#[inline(always)]
-fn apply_transposed(m: &[[f32; 2]; 2], v: &[Lane; 2], out: &mut [Lane; 2]) {
-    let t = [[m[0][0], m[1][0]], [m[0][1], m[1][1]]];
-    apply(&t, v, out);
 }
 
 /// Nearest feasible action to (x, y), ties to the lowest index, without branches that break lanes.
@@ -80,14 +69,14 @@ fn nearest(x: f32, y: f32) -> (f32, f32) {
 pub(super) fn forward(
     plant: &Plant,
     objective: &Objective,
-    setting: Setting,
+    options: RolloutOptions,
     motion: &Mlp,
     draws: &Draws,
-) -> Trace {
+) -> RolloutTrace {
     let horizon = draws.wind.len();
-    let power = setting.power as f32;
-    let relaxed = setting.execution == Execution::Relaxed;
-    let mut t = Trace {
+    let power = options.power as f32;
+    let relaxed = options.execution == Execution::Relaxed;
+    let mut t = RolloutTrace {
         x: vec![ZERO; horizon * FEATURES],
         h1: vec![ZERO; horizon * HIDDEN],
         h2: vec![ZERO; horizon * HIDDEN],
@@ -100,6 +89,7 @@ pub(super) fn forward(
         weight: vec![ZERO; horizon],
         ratio: vec![ZERO; horizon],
         outage: vec![ZERO; horizon],
+        memory: Memory::default(),
         cost: ZERO,
         safe: ZERO,
         comm: ZERO,
@@ -118,13 +108,13 @@ pub(super) fn forward(
 
     for k in 0..horizon {
         let (now, before) = (t.y[k + 1], t.y[k]);
-        let told = draws.told.map_or_else(|| t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
+        let reported = draws.reported_obstacle.map_or_else(|| t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
         for i in 0..2 {
             for l in 0..LANES {
                 x[i][l] = place * now[i][l];
                 x[2 + i][l] = speed * (now[i][l] - before[i][l]);
-                x[4 + i][l] = 0.5 * told[i][l];
+                x[4 + i][l] = 0.5 * reported[i][l];
             }
         }
         let p = &mut t.p[k * MOTIONS..(k + 1) * MOTIONS];
@@ -150,21 +140,18 @@ pub(super) fn forward(
                 pushed[i][l] += draws.wind[k][i][l];
             }
         }
-        let mut next = [ZERO; 2];
-        apply(&plant.psi_c[0], &now, &mut next);
-        apply(&plant.psi_c[1], &before, &mut next);
-        apply(&plant.psi_c[2], &pushed, &mut next);
+        let mut next = plant.predictor.forward(&mut t.memory, &now, &before, &pushed);
         for l in 0..LANES {
             let (dx, dy) = (next[0][l] - now[0][l], next[1][l] - now[1][l]);
             t.raw[k][0][l] = dx;
             t.raw[k][1][l] = dy;
-            if plant.limits != Limits::Plain {
+            if plant.limits != RolloutLimits::Plain {
                 let length = (dx * dx + dy * dy).sqrt();
                 let factor = if length > reach { reach / length } else { 1.0 };
                 next[0][l] = now[0][l] + factor * dx;
                 next[1][l] = now[1][l] + factor * dy;
             }
-            if plant.limits == Limits::Walls {
+            if plant.limits == RolloutLimits::Walls {
                 for i in 0..2 {
                     next[i][l] = next[i][l].max(plant.corners[0][i]).min(plant.corners[1][i]);
                 }
@@ -192,11 +179,9 @@ fn drift(
     (u[0], u[1]) = (before, now);
     let (mut straight, mut straight_before) = (now, before);
     for seen in &mut u[2..] {
-        let mut next = [ZERO; 2];
-        apply(&plant.psi_u[0], &straight, &mut next);
-        apply(&plant.psi_u[1], &straight_before, &mut next);
+        let mut next = plant.uncontrollable.forward_coasting(&straight, &straight_before);
         (straight, straight_before) = (next, straight);
-        if let (Limits::Walls, Some(area)) = (plant.limits, area) {
+        if let (RolloutLimits::Walls, Some(area)) = (plant.limits, area) {
             area.reflect(&mut next);
         }
         *seen = next;
@@ -212,7 +197,7 @@ fn pair(y: &[Lane; 2], u: &[Lane; 2]) -> [Lane; 4] {
 
 /// Risk at k+1 and channel at k for all k, and the two scores of each rollout.
 #[inline(always)]
-fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut Trace) {
+fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut RolloutTrace) {
     let horizon = t.a.len();
     let (alpha, beta) = (objective.alpha as f32, objective.beta as f32);
     let connected = power / objective.snr_min as f32;
@@ -261,7 +246,7 @@ const NEGLIGIBLE: f32 = 1e-7;
 /// Gradient of the whole of J with respect to each y_k (k = 0..=H) through cost and heads, and not
 /// through the policy: [Lane; 2] each.
 #[inline(always)]
-fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Trace) -> Vec<[Lane; 2]> {
+fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &RolloutTrace) -> Vec<[Lane; 2]> {
     let horizon = t.a.len();
     let mut g = vec![[ZERO; 2]; horizon + 1];
     let goal = 2.0 * share.each * (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
@@ -338,7 +323,13 @@ fn gain_slope(plant: &Plant, y: &[Lane; 2], u: &[Vec<[Lane; 2]>], now: usize) ->
 }
 
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
-pub(super) fn backward(plant: &Plant, objective: &Objective, share: &Share, motion: &Mlp, t: &Trace) -> Mlp {
+pub(super) fn backward(
+    plant: &Plant,
+    objective: &Objective,
+    share: &Share,
+    motion: &Mlp,
+    t: &mut RolloutTrace,
+) -> Mlp {
     let horizon = t.a.len();
     let slopes = outer_slopes(plant, objective, share, t);
     let back = Back::new(motion);
@@ -356,14 +347,14 @@ pub(super) fn backward(plant: &Plant, objective: &Objective, share: &Share, moti
         // Through walls and speed limit back to the predictor's own output.
         let mut kept = [ZERO; 2];
         for l in 0..LANES {
-            if plant.limits == Limits::Walls {
+            if plant.limits == RolloutLimits::Walls {
                 for i in 0..2 {
                     let y = t.y[k + 2][i][l];
                     let at_wall = y <= plant.corners[0][i] || y >= plant.corners[1][i];
                     newer[i][l] = if at_wall { 0.0 } else { newer[i][l] };
                 }
             }
-            if plant.limits != Limits::Plain {
+            if plant.limits != RolloutLimits::Plain {
                 let (dx, dy) = (t.raw[k][0][l], t.raw[k][1][l]);
                 let length = (dx * dx + dy * dy).sqrt();
                 if length > reach {
@@ -378,8 +369,9 @@ pub(super) fn backward(plant: &Plant, objective: &Objective, share: &Share, moti
                 }
             }
         }
-        let mut da = [ZERO; 2];
-        apply_transposed(&plant.psi_c[2], &newer, &mut da);
+        // Slopes in y_k, y_{k-1} and the action.
+        let (mut here, mut past, mut da) = (older, [ZERO; 2], [ZERO; 2]);
+        plant.predictor.backward(&mut t.memory, &newer, [&mut here, &mut past, &mut da]);
         let p = &t.p[k * MOTIONS..(k + 1) * MOTIONS];
         let mut dp = [ZERO; MOTIONS];
         for l in 0..LANES {
@@ -401,10 +393,6 @@ pub(super) fn backward(plant: &Plant, objective: &Objective, share: &Share, moti
         let mut dx = [ZERO; FEATURES];
         kernel::affine(&back.w1, &[0.0; FEATURES], dh1, &mut dx);
 
-        let mut here = older;
-        let mut past = [ZERO; 2];
-        apply_transposed(&plant.psi_c[0], &newer, &mut here);
-        apply_transposed(&plant.psi_c[1], &newer, &mut past);
         for i in 0..2 {
             for l in 0..LANES {
                 let by_speed = speed * dx[2 + i][l];
@@ -427,8 +415,8 @@ pub(crate) fn samples(
     motion: &Mlp,
     draws: &Draws,
 ) -> Vec<([Lane; FEATURES], Lane)> {
-    let setting = Setting { eta: None, power: 1.0, execution: Execution::Nearest };
-    let t = forward(plant, objective, setting, motion, draws);
+    let options = RolloutOptions { eta: None, power: 1.0, execution: Execution::Nearest };
+    let t = forward(plant, objective, options, motion, draws);
     let inputs = t.x.chunks_exact(FEATURES).map(|x| std::array::from_fn(|i| x[i]));
     inputs.zip(t.ratio).collect()
 }

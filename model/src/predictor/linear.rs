@@ -2,11 +2,13 @@
 //!
 //! ẑ_c' = Ψ_c0 z_c,k + Ψ_c1 z_c,k-1 + Ψ_ca a_k and ẑ_u' = Ψ_u0 z_u,k + Ψ_u1 z_u,k-1. Over 100 steps
 //! Ψ0 + Ψ1 - I must be right to about 1e-6, so the fit is pinned to (2I, -I) by a ridge. Knows
-//! latents and actions; neither pictures nor positions.
+//! latents and actions; neither frames nor positions.
 
 use nalgebra::{DMatrix, Matrix2, SMatrix, Vector2};
 
 use crate::encoder::weights::LATENT;
+use crate::numeric::kernel::{Lane, ZERO};
+use crate::numeric::tensors::{Reader, Stored, TensorError, Writer};
 
 /// Ψ0 or Ψ1, 16x16.
 pub type Psi = SMatrix<f64, LATENT, LATENT>;
@@ -38,19 +40,31 @@ pub struct Linear {
     pub u1: Psi,
 }
 
-/// The same in the plane coordinates y = E' z, 2x2 each. Equivalent: both halves are of rank 2.
+/// One quantity of both axes of [`LANES`](crate::numeric::kernel::LANES) rollouts.
+pub type Pair = [Lane; 2];
+
+/// One half's predictor in the plane coordinates y = E' z: y_{k+1} = Ψ_0 y_k + Ψ_1 y_{k-1} + Ψ_a a_k.
+/// Nothing is lost: a latent half is of rank 2.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reduced {
-    /// E_c' Ψ_c0 E_c
-    pub c0: Matrix2<f64>,
-    /// E_c' Ψ_c1 E_c
-    pub c1: Matrix2<f64>,
-    /// E_c' Ψ_ca, close to S a_max I.
-    pub ca: Matrix2<f64>,
-    /// E_u' Ψ_u0 E_u
-    pub u0: Matrix2<f64>,
-    /// E_u' Ψ_u1 E_u
-    pub u1: Matrix2<f64>,
+pub struct PlaneLinear {
+    /// Ψ_0
+    pub newer: Matrix2<f64>,
+    /// Ψ_1
+    pub older: Matrix2<f64>,
+    /// Ψ_a, latent units per interval² at full acceleration, close to S a_max I; zero for the half on which
+    /// no action works.
+    pub action: Matrix2<f64>,
+}
+
+/// The step y_{k+1} - y_k, and its slopes in y_k and in v = y_k - y_{k-1}.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Displacement {
+    /// y_{k+1} - y_k
+    pub step: Vector2<f64>,
+    /// Its slope in y_k at equal v.
+    pub by_y: Matrix2<f64>,
+    /// Its slope in v.
+    pub by_v: Matrix2<f64>,
 }
 
 impl Linear {
@@ -73,37 +87,116 @@ impl Linear {
         self.u0 * now + self.u1 * before
     }
 
-    /// The predictors in plane coordinates.
+    /// The controllable half in the coordinates of `plane`.
     #[must_use]
-    pub fn reduced(&self, plane_c: &Plane, plane_u: &Plane) -> Reduced {
-        let square = |e: &Plane, psi: &Psi| e.transpose() * psi * e;
-        Reduced {
-            c0: square(plane_c, &self.c0),
-            c1: square(plane_c, &self.c1),
-            ca: plane_c.transpose() * self.ca,
-            u0: square(plane_u, &self.u0),
-            u1: square(plane_u, &self.u1),
-        }
+    pub fn controllable(&self, plane: &Plane) -> PlaneLinear {
+        let square = |psi: &Psi| plane.transpose() * psi * plane;
+        PlaneLinear { newer: square(&self.c0), older: square(&self.c1), action: plane.transpose() * self.ca }
+    }
+
+    /// The uncontrollable half in the coordinates of `plane`.
+    #[must_use]
+    pub fn uncontrollable(&self, plane: &Plane) -> PlaneLinear {
+        let square = |psi: &Psi| plane.transpose() * psi * plane;
+        PlaneLinear { newer: square(&self.u0), older: square(&self.u1), action: Matrix2::zeros() }
     }
 }
 
-impl Reduced {
-    /// One step of the controllable half.
-    #[must_use]
-    pub fn step_c(&self, now: Vector2<f64>, before: Vector2<f64>, a: Vector2<f64>) -> Vector2<f64> {
-        self.c0 * now + self.c1 * before + self.ca * a
+impl Stored for Linear {
+    fn put(&self, out: &mut Writer) {
+        out.matrix("predictor.c0", &self.c0);
+        out.matrix("predictor.c1", &self.c1);
+        out.matrix("predictor.ca", &self.ca);
+        out.matrix("predictor.u0", &self.u0);
+        out.matrix("predictor.u1", &self.u1);
     }
 
-    /// One step of the uncontrollable half.
+    fn get(from: &Reader<'_>) -> Result<Self, TensorError> {
+        Ok(Self {
+            c0: from.matrix("predictor.c0")?,
+            c1: from.matrix("predictor.c1")?,
+            ca: from.matrix("predictor.ca")?,
+            u0: from.matrix("predictor.u0")?,
+            u1: from.matrix("predictor.u1")?,
+        })
+    }
+}
+
+impl PlaneLinear {
+    /// From Ψ_0, Ψ_1 and Ψ_a, row by row.
     #[must_use]
-    pub fn step_u(&self, now: Vector2<f64>, before: Vector2<f64>) -> Vector2<f64> {
-        self.u0 * now + self.u1 * before
+    pub fn from_rows([newer, older, action]: [[[f32; 2]; 2]; 3]) -> Self {
+        let matrix = |m: [[f32; 2]; 2]| Matrix2::from_fn(|row, column| f64::from(m[row][column]));
+        Self { newer: matrix(newer), older: matrix(older), action: matrix(action) }
+    }
+
+    /// y_{k+1} from y_k, y_{k-1} and a_k.
+    #[must_use]
+    pub fn step(&self, now: Vector2<f64>, before: Vector2<f64>, a: Vector2<f64>) -> Vector2<f64> {
+        self.newer * now + self.older * before + self.action * a
+    }
+
+    /// y_{k+1} without an action.
+    #[must_use]
+    pub fn coast(&self, now: Vector2<f64>, before: Vector2<f64>) -> Vector2<f64> {
+        self.newer * now + self.older * before
+    }
+
+    /// The step from y_k, and its slopes.
+    #[must_use]
+    pub fn displacement(&self, y: Vector2<f64>, v: Vector2<f64>, a: Vector2<f64>) -> Displacement {
+        let by_y = self.newer + self.older - Matrix2::identity();
+        let by_v = -self.older;
+        Displacement { step: by_y * y + by_v * v + self.action * a, by_y, by_v }
+    }
+
+    /// y_{k+1} of many rollouts.
+    #[inline(always)]
+    #[must_use]
+    pub fn forward(&self, now: &Pair, before: &Pair, a: &Pair) -> Pair {
+        let mut next = [ZERO; 2];
+        apply(&rows(&self.newer), now, &mut next);
+        apply(&rows(&self.older), before, &mut next);
+        apply(&rows(&self.action), a, &mut next);
+        next
+    }
+
+    /// y_{k+1} of many rollouts without an action.
+    #[inline(always)]
+    #[must_use]
+    pub fn forward_coasting(&self, now: &Pair, before: &Pair) -> Pair {
+        let mut next = [ZERO; 2];
+        apply(&rows(&self.newer), now, &mut next);
+        apply(&rows(&self.older), before, &mut next);
+        next
+    }
+
+    /// Adds the slopes in y_k, y_{k-1} and a_k, from those in y_{k+1}.
+    #[inline(always)]
+    pub fn backward(&self, d_next: &Pair, [d_now, d_before, d_a]: [&mut Pair; 3]) {
+        apply(&rows(&self.newer.transpose()), d_next, d_now);
+        apply(&rows(&self.older.transpose()), d_next, d_before);
+        apply(&rows(&self.action.transpose()), d_next, d_a);
+    }
+}
+
+#[inline(always)]
+fn rows(m: &Matrix2<f64>) -> [[f32; 2]; 2] {
+    [[m[(0, 0)] as f32, m[(0, 1)] as f32], [m[(1, 0)] as f32, m[(1, 1)] as f32]]
+}
+
+/// Adds m v to `out`.
+#[inline(always)]
+fn apply(m: &[[f32; 2]; 2], v: &Pair, out: &mut Pair) {
+    for (row, o) in m.iter().zip(out) {
+        for ((o, a), b) in o.iter_mut().zip(&v[0]).zip(&v[1]) {
+            *o = row[0].mul_add(*a, row[1].mul_add(*b, *o));
+        }
     }
 }
 
 /// Ψ_a by least squares with Ψ0, Ψ1 at (2I, -I): z_{k+d} - 2 z_k + z_{k-d} = Ψ_a u, with u = a_k for
 /// d = 1, else the sum of the actions between, each weighted by d less its distance to k.
-///
 #[must_use]
 pub fn fit_action(windows: &[Window]) -> PsiAction {
     let mut square = Matrix2::zeros();
@@ -192,12 +285,15 @@ mod tests {
     }
 
     #[test]
-    fn reduced_steps_as_the_sixteen_dimensions_do() {
+    fn the_plane_steps_as_the_sixteen_dimensions_do() {
         let (_, plane) = windows();
         let linear = Linear { ca: plane * 0.035, ..Linear::pinned() };
-        let reduced = linear.reduced(&plane, &plane);
+        let small = linear.controllable(&plane);
         let (now, before, a) = (Vector2::new(1.0, -2.0), Vector2::new(0.9, -2.1), Vector2::new(0.3, 1.0));
         let full = linear.step_c(&(plane * now), &(plane * before), a);
-        assert!((plane.transpose() * full - reduced.step_c(now, before, a)).norm() < 1e-12);
+        let step = small.step(now, before, a);
+        assert!((plane.transpose() * full - step).norm() < 1e-12);
+        let moved = small.displacement(now, now - before, a);
+        assert!((now + moved.step - step).norm() < 1e-12);
     }
 }

@@ -1,123 +1,98 @@
-//! The latent observer: place and speed of both halves from the last M pictures and the actions flown
+//! The latent observer: place and speed of both halves from the last M frames and the actions flown
 //! between them.
 //!
-//! Two pictures give a speed that carries both pictures' errors, and a rollout of 100 steps multiplies
-//! it by 100. Here every picture of a window counts: a Kalman filter runs over the window from its
-//! first picture on, so with no disturbance reckoned with (`kick` 0) it is least squares after the
-//! actions' contribution is taken out, and with a large one it leans on the last two pictures. Plane
-//! coordinates throughout. Knows latents and actions; neither pictures nor positions.
+//! Two frames give a speed that carries both frames' errors, and a rollout of 100 steps multiplies
+//! it by 100. Here every frame of a window counts: a Kalman filter runs over the window from its
+//! first frame on, so with no disturbance reckoned with (`kick` 0) it is least squares after the
+//! actions' contribution is taken out, and with a large one it leans on the last two frames. Plane
+//! coordinates throughout. Knows latents and actions; neither frames nor positions.
 //!
-//! - A missing picture is a step without a measurement.
+//! - A missing frame is a step without a measurement.
 //! - The speed limit is part of the prediction: at v_max the linear model alone would run ahead.
-//! - A poor picture (a disc that the frame cuts, a UAV over the obstacle) weighs less.
-//! - A wall or a bounce breaks the model: an innovation that no picture's error explains, or several poor
-//!   pictures in a row, and the window begins anew with the last two.
+//! - A poor frame (a disc that the frame cuts, a UAV over the obstacle) weighs less.
+//! - A wall or a bounce breaks the model: an innovation that no frame's error explains, or several poor
+//!   frames in a row, and the window begins anew with the last two.
 
 use std::collections::VecDeque;
 
 use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
 
-use crate::predictor::linear::Reduced;
+use crate::predictor::Predictor;
+use crate::predictor::linear::Displacement;
 
 /// Standard deviation that is reckoned with for a decoded coordinate, units: 0.03 px. Whole discs on empty
 /// ground are three times better; a rim of the obstacle under the UAV is not.
-pub const PICTURE_NOISE: f64 = 3e-4;
+pub const FRAME_NOISE: f64 = 3e-4;
 
 /// Missing share of the UAV's colour beyond which the frame's edge cuts its disc; below, the pixels'
 /// rounding.
 const WHOLE: f32 = 2e-3;
 
-/// How many times further off such a picture is, and a row of them is off alike.
+/// How many times further off such a frame is, and a row of them is off alike.
 const CUT: f64 = 4.0;
 
-/// Standard deviation of the UAV's coordinates in units of [`PICTURE_NOISE`], from the missing share q of
+/// Standard deviation of the UAV's coordinates in units of [`FRAME_NOISE`], from the missing share q of
 /// its colour: a whole disc says more than one that the frame's edge cuts.
 #[must_use]
-pub fn doubt(missing: f32) -> f64 {
+pub fn sigma_scale(missing: f32) -> f64 {
     if missing.abs() > WHOLE { CUT } else { 1.0 }
 }
 
-/// What a picture shows of one half.
+/// What a frame shows of one half.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct LatentReading {
     /// y
     pub y: Vector2<f64>,
-    /// Its standard deviation in units of [`PICTURE_NOISE`].
-    pub doubt: f64,
+    /// Its standard deviation in units of [`FRAME_NOISE`].
+    pub sigma_scale: f64,
 }
 
-impl From<Vector2<f64>> for Seen {
+impl From<Vector2<f64>> for LatentReading {
     fn from(y: Vector2<f64>) -> Self {
-        Self { y, doubt: 1.0 }
+        Self { y, sigma_scale: 1.0 }
     }
 }
 
-/// Squared Mahalanobis distance beyond which a picture is poor: four standard deviations.
+/// Squared Mahalanobis distance beyond which a frame is poor: four standard deviations.
 const POOR: f64 = 16.0;
 
 /// Squared Mahalanobis distance beyond which the window breaks: 25 standard deviations, 0.8 px.
 const BREAK: f64 = 625.0;
 
-/// Missing pictures after which what was seen before is worth nothing.
+/// Missing frames after which what was seen before is worth nothing.
 const LONGEST_GAP: usize = 50;
 
-/// Poor pictures in a row that break the window.
+/// Poor frames in a row that break the window.
 const PATIENCE: usize = 3;
 
-/// Variance of a speed of which nothing is known, in units of a picture's.
+/// Variance of a speed of which nothing is known, in units of a frame's.
 const UNKNOWN: f64 = 1e8;
 
 /// How one half moves, in plane coordinates.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
-    /// Ψ_0
-    pub newer: Matrix2<f64>,
-    /// Ψ_1
-    pub older: Matrix2<f64>,
-    /// Ψ_a; zero for the half on which no action works.
-    pub action: Matrix2<f64>,
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionModel {
+    /// Predicts the next interval.
+    pub predictor: Predictor,
     /// Longest step in an interval, latent units; infinite where no limit is known.
     pub reach: f64,
-    /// Standard deviation of a picture's coordinate, latent units.
+    /// Standard deviation of a frame's coordinate, latent units.
     pub noise: f64,
     /// Standard deviation of the speed's disturbance in an interval and axis, latent units.
     pub kick: f64,
 }
 
-impl Motion {
-    /// The controllable half: `scale` S in latent units per unit, `v_max` and `kick` in units per
-    /// interval.
+impl MotionModel {
+    /// A half with `scale` latent units per unit of length; `v_max` (infinite where no limit is known) and
+    /// `kick`, the standard deviation of a gust, in units per interval.
     #[must_use]
-    pub fn controllable(psi: &Reduced, scale: f64, v_max: f64, kick: f64) -> Self {
-        Self {
-            newer: psi.c0,
-            older: psi.c1,
-            action: psi.ca,
-            reach: scale * v_max,
-            noise: scale * PICTURE_NOISE,
-            kick: scale * kick,
-        }
-    }
-
-    /// The uncontrollable half; `scale` in latent units per unit.
-    #[must_use]
-    pub fn uncontrollable(psi: &Reduced, scale: f64) -> Self {
-        Self {
-            newer: psi.u0,
-            older: psi.u1,
-            action: Matrix2::zeros(),
-            reach: f64::INFINITY,
-            noise: scale * PICTURE_NOISE,
-            kick: 0.0,
-        }
+    pub fn new(predictor: Predictor, scale: f64, v_max: f64, kick: f64) -> Self {
+        Self { predictor, reach: scale * v_max, noise: scale * FRAME_NOISE, kick: scale * kick }
     }
 
     /// One step of (y, y - y_before) under an action, and its Jacobian.
     fn step(&self, state: &Vector4<f64>, a: Vector2<f64>) -> (Vector4<f64>, Matrix4<f64>) {
         let (y, v) = (state.fixed_rows::<2>(0).into_owned(), state.fixed_rows::<2>(2).into_owned());
-        let mut by_y = self.newer + self.older - Matrix2::identity();
-        let mut by_v = -self.older;
-        let mut step = by_y * y + by_v * v + self.action * a;
+        let Displacement { mut step, mut by_y, mut by_v } = self.predictor.displacement(y, v, a);
         let length = step.norm();
         if length > self.reach {
             // What is left of an error is what lies across the step.
@@ -141,7 +116,7 @@ impl Motion {
 pub struct Estimate {
     /// y
     pub y: Vector2<f64>,
-    /// y_k - y_{k-1}; zero until two pictures have been seen.
+    /// y_k - y_{k-1}; zero until two frames have been seen.
     pub v: Vector2<f64>,
 }
 
@@ -153,33 +128,33 @@ impl Estimate {
     }
 }
 
-/// An interval and the picture at its end.
+/// An interval and the frame at its end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Interval {
     /// Normalised acceleration that was flown in it.
     flown: Vector2<f64>,
-    /// What the picture shows, if it arrived.
-    seen: Option<Seen>,
+    /// What the frame shows, if it arrived.
+    seen: Option<LatentReading>,
 }
 
 /// The window of one half.
 #[derive(Debug, Clone)]
-pub struct Observer {
-    motion: Motion,
+pub struct LatentObserver {
+    motion: MotionModel,
     window: usize,
     last: VecDeque<Interval>,
 }
 
-impl Observer {
-    /// Nothing seen; at most `window` (at least 2) pictures are kept.
+impl LatentObserver {
+    /// Nothing seen; at most `window` (at least 2) frames are kept.
     #[must_use]
-    pub fn new(motion: Motion, window: usize) -> Self {
+    pub fn new(motion: MotionModel, window: usize) -> Self {
         Self { motion, window: window.max(2), last: VecDeque::new() }
     }
 
-    /// A picture has come; `flown` are the normalised accelerations of the intervals since the last
-    /// picture, oldest first: one, or more where pictures are missing.
-    pub fn observe(&mut self, seen: impl Into<Seen>, flown: &[Vector2<f64>]) {
+    /// A frame has come; `flown` are the normalised accelerations of the intervals since the last
+    /// frame, oldest first: one, or more where frames are missing.
+    pub fn observe(&mut self, seen: impl Into<LatentReading>, flown: &[Vector2<f64>]) {
         let (newest, missing) = flown.split_last().map_or((Vector2::zeros(), flown), |(a, rest)| (*a, rest));
         if missing.len() >= LONGEST_GAP {
             self.last.clear();
@@ -192,17 +167,17 @@ impl Observer {
         }
     }
 
-    /// Place and speed at the newest picture; `None` before the first.
+    /// Place and speed at the newest frame; `None` before the first.
     #[must_use]
     pub fn estimate(&self) -> Option<Estimate> {
-        // Two pictures and no more are their difference, to the last bit.
+        // Two frames and no more are their difference, to the last bit.
         if let (2, [.., Interval { seen: Some(before), .. }, Interval { seen: Some(now), .. }]) =
             (self.window, self.last.iter().copied().collect::<Vec<_>>().as_slice())
         {
             return Some(Estimate { y: now.y, v: now.y - before.y });
         }
         let mut filter: Option<Filter> = None;
-        let mut before: Option<(usize, Seen)> = None;
+        let mut before: Option<(usize, LatentReading)> = None;
         for (k, interval) in self.last.iter().enumerate() {
             if let Some(filter) = &mut filter {
                 filter.predict(&self.motion, interval.flown);
@@ -220,8 +195,8 @@ impl Observer {
         Some(Estimate { y, v })
     }
 
-    /// A filter that knows the picture of interval `k` and the one before it.
-    fn anew(&self, before: Option<(usize, Seen)>, k: usize, seen: Seen) -> Filter {
+    /// A filter that knows the frame of interval `k` and the one before it.
+    fn anew(&self, before: Option<(usize, LatentReading)>, k: usize, seen: LatentReading) -> Filter {
         let Some((since, first)) = before else { return Filter::at(seen.y, self.noise(seen)) };
         let mut filter = Filter::at(first.y, self.noise(first));
         for interval in self.last.range(since + 1..=k) {
@@ -231,9 +206,9 @@ impl Observer {
         filter
     }
 
-    /// Standard deviation of a picture's coordinate, latent units.
-    fn noise(&self, seen: Seen) -> f64 {
-        self.motion.noise * seen.doubt
+    /// Standard deviation of a frame's coordinate, latent units.
+    fn noise(&self, seen: LatentReading) -> f64 {
+        self.motion.noise * seen.sigma_scale
     }
 }
 
@@ -242,21 +217,21 @@ impl Observer {
 struct Filter {
     state: Vector4<f64>,
     covariance: Matrix4<f64>,
-    /// Whether a second picture has told a speed.
+    /// Whether a second frame has told a speed.
     moving: bool,
-    /// Poor pictures since the last good one.
+    /// Poor frames since the last good one.
     poor: usize,
 }
 
 impl Filter {
-    /// One picture: a place, no speed.
+    /// One frame: a place, no speed.
     fn at(y: Vector2<f64>, noise: f64) -> Self {
         let r = noise * noise;
         let covariance = Matrix4::from_diagonal(&Vector4::new(r, r, UNKNOWN * r, UNKNOWN * r));
         Self { state: Vector4::new(y.x, y.y, 0.0, 0.0), covariance, moving: false, poor: 0 }
     }
 
-    fn predict(&mut self, motion: &Motion, a: Vector2<f64>) {
+    fn predict(&mut self, motion: &MotionModel, a: Vector2<f64>) {
         let (next, jacobian) = motion.step(&self.state, a);
         // The kick enters the speed, and with it the place.
         let entry = Matrix4x2::new(1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0) * motion.kick;
@@ -264,7 +239,7 @@ impl Filter {
         self.covariance = jacobian * self.covariance * jacobian.transpose() + entry * entry.transpose();
     }
 
-    /// Takes in a picture; `false` if what was predicted cannot be true.
+    /// Takes in a frame; `false` if what was predicted cannot be true.
     fn update(&mut self, y: Vector2<f64>, noise: f64) -> bool {
         let off = y - self.state.fixed_rows::<2>(0);
         let Some(inverse) = self.spread(noise).try_inverse() else { return false };
@@ -309,19 +284,20 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
+    use crate::predictor::linear::PlaneLinear;
 
     const SCALE: f64 = 10.0;
 
-    fn motion(kick: f64) -> Motion {
+    fn motion(kick: f64) -> MotionModel {
         let (two, one) = (Matrix2::identity() * 2.0, Matrix2::identity());
         let ca = Matrix2::new(0.035, 0.001, -0.002, 0.034);
-        let psi = Reduced { c0: two, c1: -one, ca, u0: two, u1: -one };
-        Motion::controllable(&psi, SCALE, 0.04, kick)
+        let linear = PlaneLinear { newer: two, older: -one, action: ca };
+        MotionModel::new(Predictor::Linear(linear), SCALE, 0.04, kick)
     }
 
     /// A flight that obeys `motion`: places, and the action flown before each.
     fn flight(
-        motion: &Motion,
+        motion: &MotionModel,
         steps: usize,
         kick: f64,
         rng: &mut impl Rng,
@@ -353,7 +329,7 @@ mod tests {
         let flight = flight(&motion(0.0), 40, 0.0, &mut rng);
         for window in [2, 3, 10, 20, 50] {
             for kick in [0.0, 0.0015] {
-                let mut observer = Observer::new(motion(kick), window);
+                let mut observer = LatentObserver::new(motion(kick), window);
                 for (y, a) in &flight {
                     observer.observe(*y, &[*a]);
                 }
@@ -364,8 +340,8 @@ mod tests {
     }
 
     #[test]
-    fn two_pictures_are_the_difference_and_one_stands_still() {
-        let mut observer = Observer::new(motion(0.0), 2);
+    fn two_frames_are_the_difference_and_one_stands_still() {
+        let mut observer = LatentObserver::new(motion(0.0), 2);
         assert_eq!(observer.estimate(), None);
         observer.observe(Vector2::new(1.0, 2.0), &[]);
         assert_eq!(observer.estimate(), Some(Estimate { y: Vector2::new(1.0, 2.0), v: Vector2::zeros() }));
@@ -376,38 +352,38 @@ mod tests {
     }
 
     #[test]
-    fn more_pictures_see_the_speed_better_and_kicks_are_not_averaged_away() {
+    fn more_frames_see_the_speed_better_and_kicks_are_not_averaged_away() {
         let mut rng = Noise::new(2).generator(Stream::Evaluation, 0);
         let speed_error = |window: usize, reckoned: f64, kick: f64, rng: &mut _| -> f64 {
             let squares: Vec<f64> = (0..200)
                 .map(|_| {
                     let flight = flight(&motion(0.0), 30, kick, rng);
-                    let mut observer = Observer::new(motion(reckoned), window);
+                    let mut observer = LatentObserver::new(motion(reckoned), window);
                     for (y, a) in &flight {
                         let noise = Vector2::new(StandardNormal.sample(rng), StandardNormal.sample(rng));
-                        observer.observe(y + noise * (SCALE * PICTURE_NOISE), &[*a]);
+                        observer.observe(y + noise * (SCALE * FRAME_NOISE), &[*a]);
                     }
                     (observer.estimate().unwrap().v - truth(&flight).v).norm_squared()
                 })
                 .collect();
-            (squares.iter().sum::<f64>() / 200.0).sqrt() / (SCALE * PICTURE_NOISE)
+            (squares.iter().sum::<f64>() / 200.0).sqrt() / (SCALE * FRAME_NOISE)
         };
-        // Least squares: the speed's variance is 12/(M(M²-1)) of a picture's in each axis, and twice at 2.
+        // Least squares: the speed's variance is 12/(M(M²-1)) of a frame's in each axis, and twice at 2.
         let (two, twenty) = (speed_error(2, 0.0, 0.0, &mut rng), speed_error(20, 0.0, 0.0, &mut rng));
         assert!((1.7..2.3).contains(&two), "{two}");
         let ideal = (24.0f64 / (20.0 * 399.0)).sqrt();
         assert!((0.8 * ideal..1.3 * ideal).contains(&twenty), "{twenty} instead of {ideal}");
-        // In gusts five times a picture's error, the filter that reckons with them is no worse than two.
+        // In gusts five times a frame's error, the filter that reckons with them is no worse than two.
         let (two, kalman) =
             (speed_error(2, 0.0, 0.0015, &mut rng), speed_error(20, 0.0015, 0.0015, &mut rng));
-        assert!(kalman < 1.02 * two, "{kalman} with 20 pictures, {two} with 2");
+        assert!(kalman < 1.02 * two, "{kalman} with 20 frames, {two} with 2");
     }
 
     #[test]
-    fn a_missing_picture_is_bridged_by_the_actions_flown() {
+    fn a_missing_frame_is_bridged_by_the_actions_flown() {
         let mut rng = Noise::new(3).generator(Stream::Evaluation, 0);
         let flight = flight(&motion(0.0), 30, 0.0, &mut rng);
-        let mut observer = Observer::new(motion(0.0), 20);
+        let mut observer = LatentObserver::new(motion(0.0), 20);
         let mut pending = Vec::new();
         for (k, (y, a)) in flight.iter().enumerate() {
             pending.push(*a);
@@ -418,7 +394,7 @@ mod tests {
         }
         let off = apart(observer.estimate().unwrap(), truth(&flight));
         assert!(off < 1e-6, "off by {off}");
-        // A gap longer than the window leaves one picture, of which no speed is known.
+        // A gap longer than the window leaves one frame, of which no speed is known.
         observer.observe(Vector2::new(3.0, 3.0), &[Vector2::zeros(); 100]);
         assert_eq!(observer.estimate().unwrap().v, Vector2::zeros());
     }
@@ -428,7 +404,7 @@ mod tests {
         let mut rng = Noise::new(4).generator(Stream::Evaluation, 0);
         let flight = flight(&motion(0.0), 25, 0.0, &mut rng);
         let watch = |told: &dyn Fn(usize) -> Vector2<f64>| {
-            let mut observer = Observer::new(motion(0.0), 20);
+            let mut observer = LatentObserver::new(motion(0.0), 20);
             for (k, (y, _)) in flight.iter().enumerate() {
                 observer.observe(*y, &[told(k)]);
             }
@@ -442,40 +418,40 @@ mod tests {
     }
 
     #[test]
-    fn one_poor_picture_spoils_nothing() {
+    fn one_poor_frame_spoils_nothing() {
         let mut rng = Noise::new(6).generator(Stream::Evaluation, 0);
         let flight = flight(&motion(0.0), 25, 0.0, &mut rng);
-        let mut observer = Observer::new(motion(0.0), 20);
+        let mut observer = LatentObserver::new(motion(0.0), 20);
         for (k, (y, a)) in flight.iter().enumerate() {
-            let wrong = if k == 22 { 15.0 * SCALE * PICTURE_NOISE } else { 0.0 };
+            let wrong = if k == 22 { 15.0 * SCALE * FRAME_NOISE } else { 0.0 };
             observer.observe(y + Vector2::new(wrong, 0.0), &[*a]);
         }
         let off = (observer.estimate().unwrap().v - truth(&flight).v).norm();
-        // Two pictures around it would be wrong by 15 standard deviations.
-        assert!(off < 0.5 * SCALE * PICTURE_NOISE, "off by {off}");
+        // Two frames around it would be wrong by 15 standard deviations.
+        assert!(off < 0.5 * SCALE * FRAME_NOISE, "off by {off}");
     }
 
     #[test]
     fn at_the_speed_limit_and_after_a_wall_it_is_right() {
         // Full thrust east: the limit is reached after twelve intervals.
         let motion = motion(0.0);
-        let mut observer = Observer::new(motion, 20);
+        let mut observer = LatentObserver::new(motion.clone(), 20);
         let mut state = Vector4::new(-4.0, 0.0, 0.0, 0.0);
         let a = Vector2::new(1.0, 0.0);
         observer.observe(Vector2::new(-4.0, 0.0), &[]);
         for k in 0..30 {
             state = motion.step(&state, a).0;
-            let wobble = SCALE * PICTURE_NOISE * (k as f64 * 2.1).sin();
+            let wobble = SCALE * FRAME_NOISE * (k as f64 * 2.1).sin();
             observer.observe(state.fixed_rows::<2>(0) + Vector2::new(wobble, -wobble), &[a]);
         }
         let v = observer.estimate().unwrap().v;
         assert!((v.norm() - motion.reach).abs() < 1e-3, "{v} at the limit {}", motion.reach);
-        // A wall stops it: two pictures later the speed is zero, however long the window.
+        // A wall stops it: two frames later the speed is zero, however long the window.
         let y = state.fixed_rows::<2>(0).into_owned();
         for _ in 0..3 {
             observer.observe(y, &[Vector2::zeros()]);
         }
         let found = observer.estimate().unwrap();
-        assert!(found.v.norm() < 3.0 * SCALE * PICTURE_NOISE, "{found:?}");
+        assert!(found.v.norm() < 3.0 * SCALE * FRAME_NOISE, "{found:?}");
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::encoder::module::Backend;
 use crate::evaluation::robustness;
-use crate::training::ablation::{CHANGES, HEAD};
+use crate::training::ablation::{ABLATIONS, HEAD};
 use crate::training::recipe::without_heads;
 use crate::world_model::WorldModel;
 use crate::world_model::config::TrainConfig;
@@ -62,7 +62,7 @@ pub struct Robustness {
 pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
-    let changes: Vec<_> = CHANGES.iter().filter(|change| wanted(change.name)).collect();
+    let changes: Vec<_> = ABLATIONS.iter().filter(|change| wanted(change.name)).collect();
     if changes.is_empty() {
         let only = args.only.as_deref().unwrap_or_default();
         anyhow::bail!("--only {only}: no row's name contains it");
@@ -96,7 +96,7 @@ pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
     }
     let tables: Vec<_> = models
         .iter()
-        .map(|(_, model)| robustness::hard_table(model, args.frames, &scenario, &noise))
+        .map(|(_, model)| robustness::robustness_table(model, args.frames, &scenario, &noise))
         .collect();
     let names: Vec<&str> = models.iter().map(|(name, _)| name.as_str()).collect();
     if args.json {
@@ -117,9 +117,9 @@ fn load_or_train(path: &Path, backend: Backend) -> anyhow::Result<WorldModel> {
         return Ok(WorldModel::load(path)?);
     }
     let config = TrainConfig::load(path)?;
-    let (model, figures) =
+    let (model, diagnostics) =
         without_heads(&config, backend).with_context(|| format!("training {}", path.display()))?;
-    for alarm in figures.alarms(&config.alarms) {
+    for alarm in diagnostics.alarms(&config.alarms) {
         tracing::warn!("{}: {alarm}", path.display());
     }
     Ok(model)

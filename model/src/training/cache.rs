@@ -4,39 +4,50 @@ use std::path::{Path, PathBuf};
 
 use crate::encoder::infer::{Encoder, Features};
 use crate::encoder::weights::{FEATURES, Weights};
-use crate::training::closed_form::{Check, Triples};
-use crate::training::fit::{Setting, targets};
-use crate::training::recipe::TrainError;
-use crate::world_model::checkpoint::{self, CheckpointError, Reader, Writer};
+use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer};
+use crate::training::closed_form::Triples;
+use crate::training::fitting::{TrainContext, targets};
+use crate::world_model::card::FitCheck;
 use crate::world_model::dataset::Triple;
+
+/// Why the folder of finished stages could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CacheError {
+    /// A file could not be read or written.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// The unfinished run was made with another configuration.
+    #[error("{0}: the unfinished run there has another configuration or backend; train without --resume")]
+    Resume(PathBuf),
+}
 
 /// The folder of finished stages, or none: then everything is made anew and nothing is written.
 #[derive(Debug)]
-pub struct Kept {
+pub struct StageCache {
     dir: Option<PathBuf>,
 }
 
-impl Kept {
+impl StageCache {
     /// Keeps nothing.
     #[must_use]
-    pub fn nothing() -> Self {
+    pub fn none() -> Self {
         Self { dir: None }
     }
 
     /// Begins anew in `dir`, or goes on with the run there if it is `identity`'s.
-    pub fn open(dir: PathBuf, identity: &str, resume: bool) -> Result<Self, TrainError> {
-        let failed = |source| CheckpointError::File { path: dir.clone(), source };
+    pub fn open(dir: PathBuf, identity: &str, resume: bool) -> Result<Self, CacheError> {
+        let failed = |source| TensorError::File { path: dir.clone(), source };
         let marker = dir.join("run.json");
         if resume && dir.exists() {
             if std::fs::read_to_string(&marker).map_err(failed)? != identity {
-                return Err(TrainError::Resume(dir));
+                return Err(CacheError::Resume(dir));
             }
         } else {
             if dir.exists() {
                 std::fs::remove_dir_all(&dir).map_err(failed)?;
             }
             std::fs::create_dir_all(&dir).map_err(failed)?;
-            checkpoint::write_all(&marker, identity.as_bytes())?;
+            tensors::write_all(&marker, identity.as_bytes())?;
         }
         Ok(Self { dir: Some(dir) })
     }
@@ -49,20 +60,20 @@ impl Kept {
 
     /// Reads the stage if it is finished, else makes and writes it; then it is read all the same, so
     /// that a resumed run sees exactly what an unbroken one does.
-    pub fn keep<T>(
+    pub fn keep<T, E: From<TensorError>>(
         &self,
         name: &str,
-        load: impl Fn(&Path) -> Result<T, CheckpointError>,
-        make: impl FnOnce() -> Result<T, TrainError>,
-        save: impl Fn(&T, &Path) -> Result<(), CheckpointError>,
-    ) -> Result<T, TrainError> {
+        load: impl Fn(&Path) -> Result<T, TensorError>,
+        make: impl FnOnce() -> Result<T, E>,
+        save: impl Fn(&T, &Path) -> Result<(), TensorError>,
+    ) -> Result<T, E> {
         let Some(home) = &self.dir else { return make() };
         let dir = home.join(name);
         if !dir.exists() {
             let made = make()?;
             // Finished when it has its name.
             let beside = home.join(format!("{name}.part"));
-            let failed = |source| CheckpointError::File { path: beside.clone(), source };
+            let failed = |source| TensorError::File { path: beside.clone(), source };
             std::fs::create_dir_all(&beside).map_err(failed)?;
             save(&made, &beside)?;
             std::fs::rename(&beside, &dir).map_err(failed)?;
@@ -72,52 +83,63 @@ impl Kept {
     }
 
     /// Everything is in the checkpoint now.
-    pub fn remove(self) -> Result<(), CheckpointError> {
+    pub fn remove(self) -> Result<(), TensorError> {
         let Some(dir) = self.dir else { return Ok(()) };
-        std::fs::remove_dir_all(&dir).map_err(|source| CheckpointError::File { path: dir, source })
+        std::fs::remove_dir_all(&dir).map_err(|source| TensorError::File { path: dir, source })
     }
+}
+
+/// Reads a file of a stage that holds one value.
+pub fn load_one<T: Stored>(dir: &Path, name: &str) -> Result<T, TensorError> {
+    read(dir, name, T::get)
+}
+
+/// Writes a file of a stage that holds one value.
+pub fn save_one(value: &impl Stored, dir: &Path, name: &str) -> Result<(), TensorError> {
+    let mut out = Writer::default();
+    value.put(&mut out);
+    tensors::write_all(&dir.join(name), &out.bytes()?)
 }
 
 /// Reads one file of a stage.
 pub fn read<T>(
     dir: &Path,
     name: &str,
-    parse: impl Fn(&Reader<'_>) -> Result<T, CheckpointError>,
-) -> Result<T, CheckpointError> {
+    parse: impl Fn(&Reader<'_>) -> Result<T, TensorError>,
+) -> Result<T, TensorError> {
     let path = dir.join(name);
-    let bytes =
-        std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
+    let bytes = tensors::read(&path)?;
     parse(&Reader::new(&bytes, path)?)
 }
 
 /// Writes both sets' features.
-pub fn save_features(sets: &[Triples; 2], dir: &Path) -> Result<(), CheckpointError> {
+pub fn save_features(sets: &[Triples; 2], dir: &Path) -> Result<(), TensorError> {
     let mut out = Writer::default();
     for (name, features) in NAMES.iter().zip(sets.iter().flat_map(|s| &s.features)) {
         out.f32(&format!("{name}.h"), &[features.len(), FEATURES], features.iter().flat_map(|f| f.h.clone()));
         out.f32(&format!("{name}.q"), &[features.len(), 3], features.iter().flat_map(|f| f.missing));
     }
-    checkpoint::write_all(&dir.join("features.safetensors"), &out.bytes()?)
+    tensors::write_all(&dir.join("features.safetensors"), &out.bytes()?)
 }
 
 /// Reads what [`save_features`] wrote of these triples.
 pub fn load_features(
     dir: &Path,
-    setting: &Setting<'_>,
+    context: &TrainContext<'_>,
     picks: &[Vec<Triple>; 2],
-) -> Result<[Triples; 2], CheckpointError> {
+) -> Result<[Triples; 2], TensorError> {
     read(dir, "features.safetensors", |from| {
-        let one = |name: &str, count: usize| -> Result<Vec<Features>, CheckpointError> {
+        let one = |name: &str, count: usize| -> Result<Vec<Features>, TensorError> {
             let h = from.f32(&format!("{name}.h"), &[count, FEATURES])?;
             let q = from.f32(&format!("{name}.q"), &[count, 3])?;
             let rows = h.chunks_exact(FEATURES).zip(q.chunks_exact(3));
             Ok(rows.map(|(h, q)| Features { h: h.to_vec(), missing: [q[0], q[1], q[2]] }).collect())
         };
-        let set = |n: usize| -> Result<Triples, CheckpointError> {
+        let set = |n: usize| -> Result<Triples, TensorError> {
             let (names, triples) = (&NAMES[3 * n..], &picks[n]);
             let count = triples.len();
             let features = [one(names[0], count)?, one(names[1], count)?, one(names[2], count)?];
-            Ok(Triples { features, targets: targets(setting, triples) })
+            Ok(Triples { features, targets: targets(context, triples) })
         };
         Ok([set(0)?, set(1)?])
     })
@@ -126,35 +148,33 @@ pub fn load_features(
 const NAMES: [&str; 6] = ["long.0", "long.1", "long.2", "short.0", "short.1", "short.2"];
 
 /// Writes the weights of a stage.
-pub fn save_weights(weights: &Weights, dir: &Path) -> Result<(), CheckpointError> {
-    let mut out = Writer::default();
-    checkpoint::put_weights(&mut out, weights);
-    checkpoint::write_all(&dir.join("weights.safetensors"), &out.bytes()?)
+pub fn save_weights(weights: &Weights, dir: &Path) -> Result<(), TensorError> {
+    save_one(weights, dir, "weights.safetensors")
 }
 
 /// Reads what [`save_weights`] wrote.
-pub fn load_weights(dir: &Path) -> Result<Weights, CheckpointError> {
-    read(dir, "weights.safetensors", checkpoint::get_weights)
+pub fn load_weights(dir: &Path) -> Result<Weights, TensorError> {
+    load_one(dir, "weights.safetensors")
 }
 
 /// Writes an encoder and what its fit says of itself.
-pub fn save_encoder((encoder, check): &(Encoder, Option<Check>), dir: &Path) -> Result<(), CheckpointError> {
+pub fn save_encoder((encoder, check): &(Encoder, Option<FitCheck>), dir: &Path) -> Result<(), TensorError> {
     let mut out = Writer::default();
-    checkpoint::put_weights(&mut out, encoder.weights());
+    encoder.weights().put(&mut out);
     let numbers: Vec<f64> =
         check.iter().flat_map(|c| [c.residual_c_px].into_iter().chain(c.eigenvalues)).collect();
     out.f64("check", &[numbers.len()], numbers);
-    checkpoint::write_all(&dir.join("encoder.safetensors"), &out.bytes()?)
+    tensors::write_all(&dir.join("encoder.safetensors"), &out.bytes()?)
 }
 
 /// Reads what [`save_encoder`] wrote.
-pub fn load_encoder(dir: &Path) -> Result<(Encoder, Option<Check>), CheckpointError> {
+pub fn load_encoder(dir: &Path) -> Result<(Encoder, Option<FitCheck>), TensorError> {
     read(dir, "encoder.safetensors", |from| {
-        let encoder = Encoder::new(checkpoint::get_weights(from)?);
+        let encoder = Encoder::new(Weights::get(from)?);
         if from.shape("check")? == [0] {
             return Ok((encoder, None));
         }
         let v = from.f64("check", &[5])?;
-        Ok((encoder, Some(Check { residual_c_px: v[0], eigenvalues: [v[1], v[2], v[3], v[4]] })))
+        Ok((encoder, Some(FitCheck { residual_c_px: v[0], eigenvalues: [v[1], v[2], v[3], v[4]] })))
     })
 }

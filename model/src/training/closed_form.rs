@@ -1,5 +1,5 @@
 //! The latent heads in closed form: the exact minimisers of the JEPA prediction error over the last
-//! linear layer, with Ψ0, Ψ1 pinned to (2I, -I). No labels: pictures and actions only.
+//! linear layer, with Ψ0, Ψ1 pinned to (2I, -I). No labels: frames and actions only.
 //!
 //! z_c is what accelerates as the actions say; z_u is what moves at constant velocity between
 //! bounces, with unit variance on its two axes. Least squares and an eigenvalue problem, in f64.
@@ -8,33 +8,10 @@ use nalgebra::{DMatrix, DVector, Vector2};
 
 use crate::encoder::infer::Features;
 use crate::encoder::weights::{FEATURES, LATENT, Layer};
-
-/// The heads' regularisers and trimming.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ClosedForm {
-    /// Ridge of z_c's least squares, relative to the mean variance of a feature.
-    pub ridge_c: f64,
-    /// Ridge on the double differences of z_u, relative as above. On this side, not the covariance's:
-    /// there it would select noise. At 1e-6 the error is a third lower, but which triples are kept then
-    /// hangs on the last bits of the features.
-    pub ridge_u: f64,
-    /// Floor of the covariance, relative as above; keeps it positive definite.
-    pub floor_u: f64,
-    /// Share of the triples kept in each round: the others hit a wall.
-    pub keep: f64,
-    /// Rounds of trimming.
-    pub rounds: usize,
-}
-
-impl Default for ClosedForm {
-    fn default() -> Self {
-        Self { ridge_c: 1e-7, ridge_u: 1e-5, floor_u: 1e-9, keep: 0.6, rounds: 12 }
-    }
-}
+use crate::world_model::config::ClosedForm;
 
 /// Features of the three frames of each triple, oldest first, and what the actions contribute to the
-/// double difference of the position, in latent units (S a_max times the drive).
+/// double difference of the position, in latent units (S a_max times the response).
 #[derive(Debug, Clone, Default)]
 pub struct Triples {
     /// Features, one list for each of the three frames.
@@ -52,20 +29,6 @@ pub struct Readout {
     pub offset: Vector2<f64>,
 }
 
-/// What the fit says of itself, without labels.
-#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Check {
-    /// Rms residual of z_c's double differences, px.
-    pub residual_c_px: f64,
-    /// The smallest generalised eigenvalues of z_u's double differences. The second must lie below
-    /// 2e-6 and the third far above, or z_u is not the obstacle.
-    pub eigenvalues: [f64; 4],
-}
-
-/// Largest second eigenvalue of a z_u that is right.
-pub const EIGENVALUE_LIMIT: f64 = 2e-6;
-
 /// Why the heads could not be fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FitError {
@@ -74,7 +37,7 @@ pub enum FitError {
     Singular(&'static str),
 }
 
-/// z_c: least squares of the double differences of x on the known drive, over both sets of triples.
+/// z_c: least squares of the double differences of x on the known response, over both sets of triples.
 /// Returns the head and its rms residual in latent units.
 pub fn controllable(
     sets: [&Triples; 2],
@@ -203,7 +166,7 @@ impl Expansion {
         if self == Self::Gated { 2 * FEATURES } else { FEATURES }
     }
 
-    /// One row per picture.
+    /// One row per frame.
     fn rows(self, features: &[Features]) -> DMatrix<f64> {
         DMatrix::from_fn(features.len(), self.width(), |n, k| {
             let f = &features[n];

@@ -1,54 +1,42 @@
 //! The gradient stage: an online encoder descends on the JEPA loss, a target encoder follows it
 //! (Sec. II-A3 and IV-A2). Read [`train`] from top to bottom; the losses are in [`losses`].
 //!
-//! No labels: pictures and actions only. Every number that decides the next step is in one value, so
+//! No labels: frames and actions only. Every number that decides the next step is in one value, so
 //! a run that was stopped goes on with the bytes of one that was not.
 
 use std::path::Path;
 
 use burn::tensor::{Gradients, Tensor};
 use crpl_sitl::camera::Frame;
-use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 use indicatif::ProgressBar;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::encoder::infer::Latent;
-use crate::encoder::module::{Batch, Encoder, gradient_of, values};
+use crate::encoder::module::{Batch, EncoderModule, gradient_of, values};
 use crate::encoder::weights::{self, FEATURES, LATENT, Layer, Weights};
-use crate::evaluation::alarms::{self, HalfFigures};
+use crate::evaluation::diagnostics::{self, LatentStats};
 use crate::heads::labels::Scene;
-use crate::numeric::adamw::AdamW;
+use crate::numeric::adam::{Adam, Betas};
+use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 use crate::training::closed_form::FitError;
-use crate::training::fit::{self, Setting};
-use crate::training::lens::{Lenses, Shot};
-use crate::training::losses::{self, Anchors, Outcome, Predictors, Running, Views};
-use crate::training::stages::{Gradient, HeadStart, Layers, PsiStart};
-use crate::world_model::checkpoint::{CheckpointError, Reader, Writer, write_all};
+use crate::training::fitting::{self, TrainContext, TrainData};
+use crate::training::lens::Shot;
+use crate::training::losses::{self, Anchors, GradientPredictors, LossValue, Running, Views};
 use crate::world_model::config::TrainConfig;
-use crate::world_model::dataset::{self, Episode, Triple};
+use crate::world_model::dataset::{self, Triple};
+use crate::world_model::stages::{Gradient, HeadStart, Layers, PsiStart};
 
 /// File of the state that `--resume` goes on with.
 pub const PROGRESS: &str = "gradient.safetensors";
-
-/// Where the pictures come from.
-#[derive(Debug, Clone, Copy)]
-pub struct Data<'a> {
-    /// Positions and actions.
-    pub episodes: &'a [Episode],
-    /// The cameras.
-    pub lenses: &'a Lenses,
-    /// The world.
-    pub scenario: &'a Scenario,
-}
 
 /// Why the stage stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum GradientError {
     /// The progress could not be read or written.
     #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
+    Tensors(#[from] TensorError),
     /// The heads could not be fitted.
     #[error(transparent)]
     Fit(#[from] FitError),
@@ -59,12 +47,12 @@ pub enum GradientError {
 
 /// Everything that decides the rest of the stage.
 #[derive(Debug, Clone)]
-struct State {
+struct GradientState {
     step: usize,
     online: Weights,
     target: Weights,
     psi: Option<[Layer; 5]>,
-    adam: AdamW,
+    adam: Adam,
     running: Running,
 }
 
@@ -72,25 +60,25 @@ struct State {
 pub fn train(
     start: &Weights,
     stage: &Gradient,
-    setting: &Setting<'_>,
+    context: &TrainContext<'_>,
     dir: Option<&Path>,
     bar: &ProgressBar,
 ) -> Result<Weights, GradientError> {
-    let Setting { config, data, planes, noise, device, .. } = *setting;
+    let TrainContext { config, data, planes, noise, device, .. } = *context;
     let autodiff = device.clone().autodiff();
     let anchors = Anchors::new(planes, config.encoder.scale, &autodiff);
     let progress = dir.map(|dir| dir.join(PROGRESS));
-    let mut state = State::load_or_begin(progress.as_deref(), start, stage, noise)?;
+    let mut state = GradientState::load_or_begin(progress.as_deref(), start, stage, noise)?;
     let mut recent = Recent::default();
     bar.set_position(state.step as u64);
     while state.step < stage.steps {
         if stage.heads == HeadStart::ClosedForm && state.step.is_multiple_of(stage.refit_every) {
-            state.refit(setting, stage)?;
+            state.refit(context, stage)?;
         }
         let batch = draw(config, stage, data, noise, state.step);
 
         // Online encoder, with the gradient; target encoder, without.
-        let mut online = Encoder::new(&state.online, &autodiff);
+        let mut online = EncoderModule::new(&state.online, &autodiff);
         if stage.layers == Layers::Colour {
             online = online.with_a_still_trunk();
         }
@@ -98,20 +86,20 @@ pub fn train(
             online = online.with_still_heads();
         }
         let (z_c, z_u) = online.forward(&Batch::new(&batch.frames, &state.online.input, &autodiff));
-        let target = Encoder::new(&state.target, device);
+        let target = EncoderModule::new(&state.target, device);
         let last = &batch.frames[batch.frames.len() / 3 * 2..];
         let (t_c, t_u) = target.forward(&Batch::new(last, &state.target.input, device));
         recent.add(&z_c, &z_u, &batch.scenes);
 
         // The loss, and a step down.
-        let psi = Predictors::new(state.psi.as_ref(), &autodiff);
-        let views = Views::new(z_c, z_u, [values(t_c), values(t_u)], &batch.drives, &autodiff);
-        let Outcome { loss, error_c_px, error_u } =
+        let psi = GradientPredictors::new(state.psi.as_ref(), &autodiff);
+        let views = Views::new(z_c, z_u, [values(t_c), values(t_u)], &batch.responses, &autodiff);
+        let LossValue { loss, error_c_px, error_u } =
             losses::evaluate(&views, &psi, &anchors, stage, &mut state.running);
         let value = values(loss.clone())[0];
         let gradients = loss.backward();
-        let rate = learning_rate(stage, state.step);
-        if !value.is_finite() || !state.descend(&online, &psi, &gradients, rate) {
+        let clip_and_rate = [stage.clip as f32, learning_rate(stage, state.step)];
+        if !value.is_finite() || !state.descend(&online, &psi, &gradients, clip_and_rate) {
             return Err(GradientError::Diverged(state.step));
         }
         follow(&mut state.target, &state.online, stage.momentum as f32);
@@ -124,8 +112,8 @@ pub fn train(
             state.save(progress)?;
         }
         if state.step.is_multiple_of(REPORT_EVERY) || state.step == stage.steps {
-            let figures = recent.figures(config.encoder.scale);
-            bar.set_message(message(value, error_c_px, error_u, &figures));
+            let diagnostics = recent.diagnostics(config.encoder.scale);
+            bar.set_message(message(value, error_c_px, error_u, &diagnostics));
             tracing::debug!(step = state.step, colour = ?state.online.input.colour, "{}", bar.message());
         }
     }
@@ -135,8 +123,8 @@ pub fn train(
 /// Steps between two reports on the progress bar.
 const REPORT_EVERY: usize = 25;
 
-fn message(loss: f32, error_c_px: f64, error_u: f64, figures: &[HalfFigures; 2]) -> String {
-    let [c, u] = figures;
+fn message(loss: f32, error_c_px: f64, error_u: f64, diagnostics: &[LatentStats; 2]) -> String {
+    let [c, u] = diagnostics;
     format!(
         "loss {loss:.3}  error {error_c_px:.2} px, {error_u:.3}  rank {:.1} {:.1}  spread {:.2} {:.2}  R² {:.3} {:.3}",
         c.rank, u.rank, c.spread, u.spread, c.r_squared, u.r_squared
@@ -157,24 +145,24 @@ fn follow(target: &mut Weights, online: &Weights, tau: f32) {
     }
 }
 
-/// One step's pictures: the first frames of all triples (long, then short), the second, the third.
+/// One step's frames: the first frames of all triples (long, then short), the second, the third.
 struct Drawn {
     frames: Vec<Frame>,
     scenes: Vec<Scene>,
-    /// S a_max times the drive of every triple.
-    drives: Vec<[f32; 2]>,
+    /// S a_max times the response of every triple.
+    responses: Vec<[f32; 2]>,
 }
 
-/// The pictures of a step are a function of the seed and the step alone.
-fn draw(config: &TrainConfig, stage: &Gradient, data: Data<'_>, noise: &Noise, step: usize) -> Drawn {
+/// The frames of a step are a function of the seed and the step alone.
+fn draw(config: &TrainConfig, stage: &Gradient, data: TrainData<'_>, noise: &Noise, step: usize) -> Drawn {
     let mut rng = noise.generator(Stream::Batches, (1 << 20) + step as u64);
     let triples: Vec<Triple> = [config.long, config.short]
         .iter()
         .flat_map(|[low, high]| dataset::triples(data.episodes, stage.batch, *low, *high, &mut rng))
         .collect();
     let unit = config.encoder.scale * data.scenario.dynamics.a_max;
-    let drives = triples.iter().map(|t| data.episodes[t.episode].drive(t.first, t.lag) * unit);
-    let drives = drives.map(|d| [d.x as f32, d.y as f32]).collect();
+    let responses = triples.iter().map(|t| data.episodes[t.episode].input_response(t.first, t.lag) * unit);
+    let responses = responses.map(|d| [d.x as f32, d.y as f32]).collect();
     let places: Vec<(usize, usize)> =
         (0..3).flat_map(|n| triples.iter().map(move |t| (t.episode, t.first + n * t.lag))).collect();
     let frames = places
@@ -191,7 +179,7 @@ fn draw(config: &TrainConfig, stage: &Gradient, data: Data<'_>, noise: &Noise, s
             Scene { uav: episode.uav[k], obstacle: episode.obstacle[k] }
         })
         .collect();
-    Drawn { frames, scenes, drives }
+    Drawn { frames, scenes, responses }
 }
 
 /// Latents since the last report, and where the bodies were: for the eye, not for the training.
@@ -214,15 +202,15 @@ impl Recent {
         self.scenes.extend(scenes);
     }
 
-    fn figures(&mut self, scale: f64) -> [HalfFigures; 2] {
-        let figures = alarms::halves(&self.latents, &self.scenes, scale);
+    fn diagnostics(&mut self, scale: f64) -> [LatentStats; 2] {
+        let diagnostics = diagnostics::halves(&self.latents, &self.scenes, scale);
         self.latents.clear();
         self.scenes.clear();
-        figures
+        diagnostics
     }
 }
 
-impl State {
+impl GradientState {
     /// Random heads of their own on the trunk's start; the target begins where the online encoder does.
     fn begin(start: &Weights, stage: &Gradient, noise: &Noise) -> Self {
         let mut rng = noise.generator(Stream::Weights, 4);
@@ -249,11 +237,11 @@ impl State {
             target: online.clone(),
             online,
             psi,
-            adam: AdamW::default(),
+            adam: Adam::default(),
             running: Running::default(),
         };
-        let sizes: Vec<usize> = state.parts_mut().iter().map(|p| p.len()).collect();
-        state.adam = AdamW::new(&sizes, stage.clip as f32);
+        let count = state.parts_mut().iter().map(|p| p.len()).sum();
+        state.adam = Adam::new(count, Betas::FAST, 0.0);
         state
     }
 
@@ -263,29 +251,42 @@ impl State {
     }
 
     /// Calibrates the colour layer and fits the heads to the trunk as it is now, online and target.
-    fn refit(&mut self, setting: &Setting<'_>, stage: &Gradient) -> Result<(), GradientError> {
-        let picks = fit::pick_some(setting, stage.refit_frames, (1 << 40) + self.step as u64);
-        let online = calibrated(self.online.clone(), &fit::some_frames(setting, &picks));
-        (self.online, _) = fit::refitted(setting, online, &picks)?;
+    fn refit(&mut self, context: &TrainContext<'_>, stage: &Gradient) -> Result<(), GradientError> {
+        let picks = fitting::pick_some(context, stage.refit_frames, (1 << 40) + self.step as u64);
+        let online = calibrated(self.online.clone(), &fitting::some_frames(context, &picks));
+        (self.online, _) = fitting::refitted(context, online, &picks)?;
         let Weights { input, head_c, head_u, .. } = self.online.clone();
         self.target.input.whole_mass = input.whole_mass;
         (self.target.head_c, self.target.head_u) = (head_c, head_u);
         Ok(())
     }
 
-    /// One step of AdamW; false if the gradient is not finite.
-    fn descend(&mut self, online: &Encoder, psi: &Predictors, gradients: &Gradients, rate: f32) -> bool {
+    /// One step of Adam; false if the gradient is not finite.
+    fn descend(
+        &mut self,
+        online: &EncoderModule,
+        psi: &GradientPredictors,
+        gradients: &Gradients,
+        [clip, rate]: [f32; 2],
+    ) -> bool {
         let encoder = online.gradients(gradients);
         let psi: Vec<Vec<f32>> = psi.learned().map(|t| gradient_of(t, gradients)).collect();
         let gradient: Vec<&[f32]> =
             encoder.parts().into_iter().chain(psi.iter().map(Vec::as_slice)).collect();
+        let squares: f64 = gradient.iter().flat_map(|g| g.iter()).map(|g| f64::from(*g).powi(2)).sum();
+        let norm = squares.sqrt() as f32;
+        if !norm.is_finite() {
+            return false;
+        }
+        let scale = if norm > clip { clip / norm } else { 1.0 };
         let mut adam = std::mem::take(&mut self.adam);
-        let fine = adam.descend(self.parts_mut(), &gradient, rate);
+        let weights = self.parts_mut().into_iter().flatten();
+        adam.step(weights, gradient.into_iter().flatten(), scale, rate);
         self.adam = adam;
-        fine
+        true
     }
 
-    fn save(&mut self, path: &Path) -> Result<(), CheckpointError> {
+    fn save(&mut self, path: &Path) -> Result<(), TensorError> {
         let mut out = Writer::default();
         let mut put = |name: &str, parts: &[&[f32]]| {
             let count = parts.iter().map(|p| p.len()).sum();
@@ -308,11 +309,10 @@ impl State {
         start: &Weights,
         stage: &Gradient,
         noise: &Noise,
-    ) -> Result<Self, CheckpointError> {
+    ) -> Result<Self, TensorError> {
         let mut state = Self::begin(start, stage, noise);
         let Some(path) = path.filter(|path| path.exists()) else { return Ok(state) };
-        let bytes =
-            std::fs::read(path).map_err(|source| CheckpointError::File { path: path.into(), source })?;
+        let bytes = tensors::read(path)?;
         let from = Reader::new(&bytes, path.into())?;
         fill(&mut state.target.parts_mut(), &from, "target")?;
         fill(&mut state.parts_mut(), &from, "online")?;
@@ -329,7 +329,7 @@ impl State {
     }
 }
 
-fn fill(parts: &mut [&mut [f32]], from: &Reader<'_>, name: &str) -> Result<(), CheckpointError> {
+fn fill(parts: &mut [&mut [f32]], from: &Reader<'_>, name: &str) -> Result<(), TensorError> {
     let count = parts.iter().map(|p| p.len()).sum();
     let values = from.f32(name, &[count])?;
     let mut rest = values.as_slice();

@@ -15,7 +15,7 @@ use crate::heads::labels::{HeadsConfig, Label};
 use crate::heads::networks::{COLLISION_WIDTHS, GAIN_WIDTHS, Heads, SightLine};
 use crate::numeric::mlp::{Dense, Mlp};
 
-/// What the heads learn from, one entry a labelled picture.
+/// What the heads learn from, one entry a labelled frame.
 #[derive(Debug, Clone, Default)]
 pub struct Samples {
     /// Plane coordinates of the UAV's half.
@@ -164,13 +164,13 @@ mod tests {
 
     use super::*;
     use crate::encoder::probe::Affine;
-    use crate::heads::labels::{Station, auc, sample};
+    use crate::heads::labels::{BaseStation, auc, sample};
 
     #[test]
     fn a_head_learns_and_equal_seeds_learn_alike() {
         let (scenario, noise) = (Scenario::default(), Noise::new(9));
         let mut rng = noise.generator(Stream::Data, 0);
-        let scenes = sample(600, Station::Anywhere, &scenario, &mut rng);
+        let scenes = sample(600, BaseStation::Anywhere, &scenario, &mut rng);
         let as_latent = |r: Vector2<f64>| [(r.x * 10.0 - 5.0) as f32, (r.y * 10.0 - 5.0) as f32];
         let samples = Samples {
             y_c: scenes.iter().map(|(s, _)| as_latent(s.uav)).collect(),

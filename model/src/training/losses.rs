@@ -1,13 +1,13 @@
-//! What the gradient stage minimises: recipe B's loss and the paper's.
+//! What the gradient stage minimises: the whitened prediction loss and the paper's.
 //!
-//! Knows latents of triples of pictures and what the actions contribute; neither encoders nor data.
+//! Knows latents of triples of frames and what the actions contribute; neither encoders nor data.
 
 use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::encoder::module::values;
 use crate::encoder::probe::quantile;
 use crate::encoder::weights::{LATENT, Layer};
-use crate::training::stages::{Gradient, Loss};
+use crate::world_model::stages::{Gradient, GradientLoss};
 
 /// E_c, E_u and S as tensors.
 #[derive(Debug, Clone)]
@@ -37,8 +37,8 @@ pub struct Views {
     pub u: [Tensor<2>; 3],
     /// The target encoder's latents of the last frame, without gradient: [n, 16] each.
     pub target: [Tensor<2>; 2],
-    /// S a_max times the actions' drive: [n, 2].
-    pub drive: Tensor<2>,
+    /// S a_max times the actions' response: [n, 2].
+    pub response: Tensor<2>,
 }
 
 impl Views {
@@ -48,28 +48,28 @@ impl Views {
         z_c: Tensor<2>,
         z_u: Tensor<2>,
         target: [Vec<f32>; 2],
-        drives: &[[f32; 2]],
+        responses: &[[f32; 2]],
         device: &Device,
     ) -> Self {
-        let n = drives.len();
+        let n = responses.len();
         let split = |z: Tensor<2>| [0, 1, 2].map(|k| z.clone().narrow(0, k * n, n));
-        let drive = TensorData::new(drives.as_flattened().to_vec(), [n, 2]);
+        let response = TensorData::new(responses.as_flattened().to_vec(), [n, 2]);
         Self {
             c: split(z_c),
             u: split(z_u),
             target: target.map(|t| Tensor::from_data(TensorData::new(t, [n, LATENT]), device)),
-            drive: Tensor::from_data(drive, device),
+            response: Tensor::from_data(response, device),
         }
     }
 }
 
 /// Ψ: pinned to (2I, -I) and S a_max E_c, or learned.
 #[derive(Debug, Clone)]
-pub struct Predictors {
+pub struct GradientPredictors {
     learned: Option<[Tensor<2>; 5]>,
 }
 
-impl Predictors {
+impl GradientPredictors {
     /// Ψ_c0, Ψ_c1, Ψ_ca, Ψ_u0, Ψ_u1 with gradients, or the pinned ones.
     #[must_use]
     pub fn new(learned: Option<&[Layer; 5]>, device: &Device) -> Self {
@@ -89,18 +89,18 @@ impl Predictors {
     fn predict(&self, views: &Views, anchors: &Anchors) -> [Tensor<2>; 2] {
         let [c0, c1, _] = views.c.clone();
         let [u0, u1, _] = views.u.clone();
-        let drive = views.drive.clone();
+        let response = views.response.clone();
         match &self.learned {
-            None => [c1 * 2.0 - c0 + drive.matmul(anchors.plane_c.clone().transpose()), u1 * 2.0 - u0],
+            None => [c1 * 2.0 - c0 + response.matmul(anchors.plane_c.clone().transpose()), u1 * 2.0 - u0],
             Some(psi) => {
                 let by = |z: Tensor<2>, k: usize| z.matmul(psi[k].clone().transpose());
-                [by(c1, 0) + by(c0, 1) + by(drive, 2), by(u1, 3) + by(u0, 4)]
+                [by(c1, 0) + by(c0, 1) + by(response, 2), by(u1, 3) + by(u0, 4)]
             }
         }
     }
 }
 
-/// Running means of recipe B, factor 0.98: both losses and z_u's covariance on its plane.
+/// Running means of the whitened prediction loss, factor 0.98: both losses and z_u's covariance on its plane.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Running {
     steps: f64,
@@ -148,7 +148,7 @@ impl Running {
 
 /// A loss to go down on, and its parts for the eye.
 #[derive(Debug, Clone)]
-pub struct Outcome {
+pub struct LossValue {
     /// The scalar, [1].
     pub loss: Tensor<1>,
     /// Rms prediction error of z_c a coordinate, px.
@@ -161,33 +161,33 @@ pub struct Outcome {
 #[must_use]
 pub fn evaluate(
     views: &Views,
-    psi: &Predictors,
+    psi: &GradientPredictors,
     anchors: &Anchors,
     stage: &Gradient,
     running: &mut Running,
-) -> Outcome {
+) -> LossValue {
     match stage.loss {
-        Loss::RecipeB => recipe_b(views, psi, anchors, stage, running),
-        Loss::Paper => paper(views, psi, anchors),
+        GradientLoss::WhitenedPrediction => whitened_prediction(views, psi, anchors, stage, running),
+        GradientLoss::Paper => paper(views, psi, anchors),
     }
 }
 
 /// |ẑ_c - z_c,tar|²/S² + |ẑ_u - z_u,tar|², means over the triples (z_u: the short ones).
-fn paper(views: &Views, psi: &Predictors, anchors: &Anchors) -> Outcome {
+fn paper(views: &Views, psi: &GradientPredictors, anchors: &Anchors) -> LossValue {
     let [hat_c, hat_u] = psi.predict(views, anchors);
     let [target_c, target_u] = views.target.clone();
     let c = error(hat_c, target_c).mean().div_scalar(anchors.scale * anchors.scale);
     let u = error(short(hat_u), short(target_u)).mean();
-    outcome(c.clone() + u.clone(), &c, &u)
+    loss_value(c.clone() + u.clone(), &c, &u)
 }
 
-fn recipe_b(
+fn whitened_prediction(
     views: &Views,
-    psi: &Predictors,
+    psi: &GradientPredictors,
     anchors: &Anchors,
     stage: &Gradient,
     running: &mut Running,
-) -> Outcome {
+) -> LossValue {
     let [hat_c, hat_u] = psi.predict(views, anchors);
     let [target_c, target_u] = views.target.clone();
     let w = stage.target_weight;
@@ -201,7 +201,7 @@ fn recipe_b(
     let share = kept.clone().sum();
     let u = ((online + error(hat_u, short(target_u)) * w) * kept).sum() / share;
 
-    // All pictures' z_u: unit variance on its plane, and nothing off the planes.
+    // All frames' z_u: unit variance on its plane, and nothing off the planes.
     let all_u = centred(Tensor::cat(views.u.to_vec(), 0));
     let u = u / (all_u.clone().square().sum_dim(1).mean() * 0.5);
     let y = all_u.clone().matmul(anchors.plane_u.clone());
@@ -223,13 +223,13 @@ fn recipe_b(
         + white * stage.whitening
         + (off_u + off_c) * stage.off_plane;
     let by = 1.0 / (1.0 + w);
-    outcome(loss, &(c * by), &(u * by))
+    loss_value(loss, &(c * by), &(u * by))
 }
 
 /// `c` and `u` are means of squared norms over two coordinates, in units of length² and variance.
-fn outcome(loss: Tensor<1>, c: &Tensor<1>, u: &Tensor<1>) -> Outcome {
+fn loss_value(loss: Tensor<1>, c: &Tensor<1>, u: &Tensor<1>) -> LossValue {
     let rms = |t: &Tensor<1>| (scalar(t) / 2.0).sqrt();
-    Outcome { loss, error_c_px: 100.0 * rms(c), error_u: rms(u) }
+    LossValue { loss, error_c_px: 100.0 * rms(c), error_u: rms(u) }
 }
 
 /// Squared distance, [n, 16] -> [n, 1].

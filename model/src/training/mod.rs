@@ -10,7 +10,7 @@ pub mod ablation_command;
 pub mod cache;
 pub mod closed_form;
 #[cfg(feature = "train")]
-pub mod fit;
+pub mod fitting;
 #[cfg(feature = "train")]
 pub mod gradient;
 #[cfg(feature = "train")]
@@ -21,4 +21,3 @@ pub mod losses;
 pub mod predictors;
 #[cfg(feature = "train")]
 pub mod recipe;
-pub mod stages;

@@ -17,23 +17,25 @@ use crate::encoder::module::{Backend, NoBackend};
 use crate::encoder::probe::Probe;
 use crate::encoder::weights::{self, Colour, Input, Weights};
 use crate::evaluation;
-use crate::evaluation::alarms::{self, Alarm, Figures};
 use crate::evaluation::chart::PlotError;
+use crate::evaluation::diagnostics::{self, CollapseCheck, Diagnostics};
 use crate::heads::networks::{COLLISION_WIDTHS, GAIN_WIDTHS, Heads};
 use crate::numeric::mlp::Mlp;
+use crate::numeric::tensors::{self, Stored, TensorError, Writer};
+use crate::predictor::Predictor;
 use crate::predictor::linear::Linear;
-use crate::predictor::networks::NetworksConfig;
-use crate::training::cache::{self, Kept};
-use crate::training::closed_form::{Check, FitError};
-use crate::training::fit::{self, Planes, Setting};
-use crate::training::gradient::{self, Data, GradientError};
+use crate::training::cache::{self, CacheError, StageCache};
+use crate::training::closed_form::FitError;
+use crate::training::fitting::{self, Planes, TrainContext, TrainData};
+use crate::training::gradient::{self, GradientError};
 use crate::training::lens::Lenses;
 use crate::training::predictors::{self, Trained};
-use crate::training::stages::Init;
-use crate::world_model::checkpoint::{self, CARD, CheckpointError, FORMAT, Writer};
+use crate::world_model::card::{Card, FitCheck};
+use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
 use crate::world_model::config::{ConfigError, DataConfig, TrainConfig};
-use crate::world_model::dataset::{self, Episode, Start, Triple};
-use crate::world_model::{Card, WorldModel};
+use crate::world_model::dataset::{self, Episode, EpisodeStart, Triple};
+use crate::world_model::stages::Init;
+use crate::world_model::{WorldModel, plane};
 
 /// Why training stopped.
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +43,12 @@ pub enum TrainError {
     /// A file could not be read or written, or is not what it should be.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// Tensors could not be read or written.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// The finished stages could not be used.
+    #[error(transparent)]
+    Cache(#[from] CacheError),
     /// The configuration does not parse or makes no sense.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -59,9 +67,6 @@ pub enum TrainError {
     /// The backend is not in this build.
     #[error(transparent)]
     Backend(#[from] NoBackend),
-    /// The unfinished run was made with another configuration.
-    #[error("{0}: the unfinished run there has another configuration or backend; train without --resume")]
-    Resume(PathBuf),
     /// The model is not fit to ship.
     #[error("the model does not ship: {alarms}; it stands in {dir} to be looked at")]
     Alarms {
@@ -95,8 +100,8 @@ pub const REJECTED: &str = "rejected";
 pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
     let noise = Noise::new(config.seed);
     let DataConfig { episodes, edge_episodes, steps } = config.data;
-    let mut all = dataset::collect(episodes, steps, Start::Mixed, scenario, &noise, 0);
-    all.extend(dataset::collect(edge_episodes, steps, Start::Edge, scenario, &noise, 1));
+    let mut all = dataset::collect(episodes, steps, EpisodeStart::Mixed, scenario, &noise, 0);
+    all.extend(dataset::collect(edge_episodes, steps, EpisodeStart::Edge, scenario, &noise, 1));
     // Mixed, so that the first few are like all.
     rand::seq::SliceRandom::shuffle(
         all.as_mut_slice(),
@@ -105,17 +110,17 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
     all
 }
 
-/// The whole recipe. Writes the checkpoint and returns it with the alarms' figures.
-pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), TrainError> {
+/// The whole recipe. Writes the checkpoint and returns it with its diagnostics.
+pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics), TrainError> {
     config.check()?;
     let revision = crpl_sitl::program::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let identity = serde_json::json!({ "config": config, "backend": run.backend, "data": run.data });
-    let kept = Kept::open(run.out.join("stages"), &format!("{identity:#}\n"), run.resume)?;
+    let cache = StageCache::open(run.out.join("stages"), &format!("{identity:#}\n"), run.resume)?;
 
     // Episodes: positions of both bodies and the actions between them.
-    let episodes = kept.keep(
+    let episodes = cache.keep::<_, TrainError>(
         "episodes",
         |dir| dataset::load(dir, config.data.steps),
         || match &run.data {
@@ -125,28 +130,24 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
         |episodes, dir| dataset::save(episodes, dir),
     )?;
     let lenses = Lenses::new(&config.cameras, &noise);
-    let data = Data { episodes: &episodes, lenses: &lenses, scenario: &scenario };
+    let data = TrainData { episodes: &episodes, lenses: &lenses, scenario: &scenario };
     let planes = planes(&noise);
-    let setting = Setting { config, data, planes: &planes, noise: &noise, device: &device, bars: true };
+    let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: true };
 
     // The encoder, its predictors and its probe.
-    let (encoder, check) = encoder(&setting, &kept)?;
-    let (predictor, probe) = readouts(&setting, &encoder, &kept)?;
+    let (encoder, check) = encoder(&context, &cache)?;
+    let (predictor, probe) = readouts(&context, &encoder, &cache)?;
 
-    // Risk and channel heads, by gradient descent on labelled pictures.
-    let heads = kept.keep(
+    // Risk and channel heads, by gradient descent on labelled frames.
+    let heads = cache.keep::<_, TrainError>(
         "heads",
-        |dir| cache::read(dir, "heads.safetensors", checkpoint::get_heads),
-        || Ok(fit::train_heads(&setting, &encoder, &probe)),
-        |heads: &Heads, dir| {
-            let mut out = Writer::default();
-            checkpoint::put_heads(&mut out, heads);
-            checkpoint::write_all(&dir.join("heads.safetensors"), &out.bytes()?)
-        },
+        |dir| cache::load_one(dir, HEADS),
+        || Ok(fitting::train_heads(&context, &encoder, &probe)),
+        |heads: &Heads, dir| cache::save_one(heads, dir, HEADS),
     )?;
 
-    // Measured on fresh pictures, and looked at for what a loss does not show.
-    let mut model = assemble(&setting, encoder, predictor, probe, heads);
+    // Measured on fresh frames, and looked at for what a loss does not show.
+    let mut model = assemble(&context, encoder, predictor, probe, heads);
     model.card.backend = run.backend.name().into();
     let held_out = Noise::new(config.seed ^ HELD_OUT);
     model.card.metrics = evaluation::measure(
@@ -157,8 +158,8 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
         &held_out,
         check.unwrap_or_default(),
     );
-    let figures = look_at(&model, &setting, &held_out, check);
-    let alarms = figures.alarms(&config.alarms);
+    let diagnostics = look_at(&model, &context, &held_out, check);
+    let alarms = diagnostics.alarms(&config.alarms);
 
     // Only a model without alarms takes the checkpoint's place.
     let dir = if alarms.is_empty() { run.out.clone() } else { run.out.join(REJECTED) };
@@ -166,51 +167,53 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Figures), T
     if alarms.is_empty() {
         // What the linear predictor is compared with.
         let trained =
-            kept.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
+            cache.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
         predictors::publish(&trained, &dir)?;
     }
-    let card = card_text(&model, &figures, &alarms, &revision, run.stopwatch);
-    checkpoint::write_all(&dir.join(CARD), card.as_bytes())?;
+    let card = card_text(&model, &diagnostics, &alarms, &revision, run.stopwatch);
+    tensors::write_all(&dir.join(CARD), card.as_bytes())?;
     if !alarms.is_empty() {
-        kept.remove()?;
+        cache.remove()?;
         return Err(TrainError::Alarms { alarms: in_words(&alarms), dir });
     }
-    kept.remove()?;
-    Ok((model, figures))
+    cache.remove()?;
+    Ok((model, diagnostics))
 }
 
 /// The MLP and the LSTM on the latents of `model`, with a progress bar.
 pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
-    let NetworksConfig { short_steps, mlp_steps, lstm_steps, .. } = config.networks;
-    let bar = fit::bar("networks", 2 * short_steps + mlp_steps + lstm_steps);
+    let bar = fitting::bar("networks", config.networks.steps());
     let (networks, steps) = (&config.networks, config.data.steps);
     let trained = predictors::train(model, networks, steps, &scenario, &noise, || bar.inc(1))?;
     bar.finish();
     Ok(trained)
 }
 
-/// An encoder with predictors and probe and without risk and channel heads, and its alarms' figures:
+/// An encoder with predictors and probe and without risk and channel heads, and its diagnostics:
 /// for comparisons. The closed form reads the features of the flight path's encoder, which is quicker
 /// and differs in the last bits. Writes nothing.
-pub fn without_heads(config: &TrainConfig, backend: Backend) -> Result<(WorldModel, Figures), TrainError> {
+pub fn without_heads(
+    config: &TrainConfig,
+    backend: Backend,
+) -> Result<(WorldModel, Diagnostics), TrainError> {
     config.check()?;
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = backend.device()?;
     let (episodes, planes) = (collect(config, &scenario), planes(&noise));
     let lenses = Lenses::new(&config.cameras, &noise);
-    let data = Data { episodes: &episodes, lenses: &lenses, scenario: &scenario };
-    let setting = Setting { config, data, planes: &planes, noise: &noise, device: &device, bars: false };
-    let kept = Kept::nothing();
-    let picks = fit::pick(&setting);
-    let mut weights = trunk(&setting, &picks, &kept)?;
+    let data = TrainData { episodes: &episodes, lenses: &lenses, scenario: &scenario };
+    let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: false };
+    let cache = StageCache::none();
+    let picks = fitting::pick(&context);
+    let mut weights = trunk(&context, &picks, &cache)?;
     let mut check = None;
     if config.stages.closed_form {
-        let fitted = fit::refitted(&setting, weights, &picks)?;
+        let fitted = fitting::refitted(&context, weights, &picks)?;
         (weights, check) = (fitted.0, Some(fitted.1));
     }
     let encoder = Encoder::new(weights);
-    let (predictor, probe) = readouts(&setting, &encoder, &kept)?;
+    let (predictor, probe) = readouts(&context, &encoder, &cache)?;
     let none = Heads {
         collision: Mlp::zeros(&COLLISION_WIDTHS),
         gain: Mlp::zeros(&GAIN_WIDTHS),
@@ -220,10 +223,13 @@ pub fn without_heads(config: &TrainConfig, backend: Backend) -> Result<(WorldMod
         scale_u: 1.0,
         floor: 1.0,
     };
-    let model = assemble(&setting, encoder, predictor, probe, none);
-    let figures = look_at(&model, &setting, &Noise::new(config.seed ^ HELD_OUT), check);
-    Ok((model, figures))
+    let model = assemble(&context, encoder, predictor, probe, none);
+    let diagnostics = look_at(&model, &context, &Noise::new(config.seed ^ HELD_OUT), check);
+    Ok((model, diagnostics))
 }
+
+/// File of the stage with the risk and channel heads.
+const HEADS: &str = "heads.safetensors";
 
 /// Turns the seed of training into that of evaluation.
 const HELD_OUT: u64 = 0x6865_6c64_6f75_7421;
@@ -233,47 +239,54 @@ fn planes(noise: &Noise) -> Planes {
 }
 
 /// Start values and gradient stage: the trunk, and heads where the gradient stage has some.
-fn trunk(setting: &Setting<'_>, picks: &[Vec<Triple>; 2], kept: &Kept) -> Result<Weights, TrainError> {
-    let config = setting.config;
-    let weights = start(setting);
+fn trunk(
+    context: &TrainContext<'_>,
+    picks: &[Vec<Triple>; 2],
+    cache: &StageCache,
+) -> Result<Weights, TrainError> {
+    let config = context.config;
+    let weights = start(context);
     let Some(stage) = &config.stages.gradient else {
         if config.encoder.colour.is_none() {
             return Ok(weights);
         }
-        return Ok(gradient::calibrated(weights, &fit::some_frames(setting, picks)));
+        return Ok(gradient::calibrated(weights, &fitting::some_frames(context, picks)));
     };
-    kept.keep(
+    cache.keep(
         "gradient",
         cache::load_weights,
         || {
-            let bar = setting.bar("gradient", stage.steps);
-            let trained = gradient::train(&weights, stage, setting, kept.dir(), &bar)?;
+            let bar = context.bar("gradient", stage.steps);
+            let trained = gradient::train(&weights, stage, context, cache.dir(), &bar)?;
             bar.finish();
-            Ok(gradient::calibrated(trained, &fit::some_frames(setting, picks)))
+            Ok(gradient::calibrated(trained, &fitting::some_frames(context, picks)))
         },
         cache::save_weights,
     )
 }
 
 /// The trunk, then the closed form where the configuration names it.
-fn encoder(setting: &Setting<'_>, kept: &Kept) -> Result<(Encoder, Option<Check>), TrainError> {
-    let config = setting.config;
-    let picks = fit::pick(setting);
-    let mut weights = trunk(setting, &picks, kept)?;
+fn encoder(
+    context: &TrainContext<'_>,
+    cache: &StageCache,
+) -> Result<(Encoder, Option<FitCheck>), TrainError> {
+    let config = context.config;
+    let picks = fitting::pick(context);
+    let mut weights = trunk(context, &picks, cache)?;
     if !config.stages.closed_form {
         return Ok((Encoder::new(weights), None));
     }
-    let sets = kept.keep(
+    let sets = cache.keep::<_, TrainError>(
         "features",
-        |dir| cache::load_features(dir, setting, &picks),
-        || Ok(fit::features(setting, &weights, &picks)),
+        |dir| cache::load_features(dir, context, &picks),
+        || Ok(fitting::features(context, &weights, &picks)),
         cache::save_features,
     )?;
-    kept.keep(
+    cache.keep(
         "encoder",
         cache::load_encoder,
         || {
-            let check = fit::fit_heads(setting, &mut weights, &sets)?;
+            let check = fitting::fit_heads(context, &mut weights, &sets)?;
             Ok((Encoder::new(weights.clone()), Some(check)))
         },
         cache::save_encoder,
@@ -281,70 +294,76 @@ fn encoder(setting: &Setting<'_>, kept: &Kept) -> Result<(Encoder, Option<Check>
 }
 
 /// The trunk's start values.
-fn start(setting: &Setting<'_>) -> Weights {
-    let config = &setting.config.encoder;
+fn start(context: &TrainContext<'_>) -> Weights {
+    let config = &context.config.encoder;
     let normalise = [config.normalise[0], false, config.normalise[1]];
-    let mut input = Input::new(setting.data.scenario, normalise);
+    let mut input = Input::new(context.data.scenario, normalise);
     input.colour = config.colour.map(|threshold| Colour::passing(threshold as f32));
-    match setting.config.stages.init {
-        Init::Triangle => Weights::initial(input, config.mix, config.gated, setting.noise),
-        Init::Kaiming => Weights::kaiming(input, config.gated, setting.noise),
+    match context.config.stages.init {
+        Init::Triangle => Weights::structured_init(input, config.mix, config.gated, context.noise),
+        Init::Kaiming => Weights::kaiming(input, config.gated, context.noise),
     }
 }
 
 /// Predictors and probe.
-fn readouts(setting: &Setting<'_>, encoder: &Encoder, kept: &Kept) -> Result<(Linear, Probe), TrainError> {
-    kept.keep(
+fn readouts(
+    context: &TrainContext<'_>,
+    encoder: &Encoder,
+    cache: &StageCache,
+) -> Result<(Linear, Probe), TrainError> {
+    cache.keep(
         "predictor",
-        |dir| {
-            cache::read(dir, "predictor.safetensors", |r| {
-                Ok((checkpoint::get_predictor(r)?, checkpoint::get_probe(r)?))
-            })
-        },
+        |dir| cache::read(dir, "predictor.safetensors", |from| Ok((Linear::get(from)?, Probe::get(from)?))),
         || {
-            let predictor = fit::fit_predictor(setting, encoder).ok_or(TrainError::Predictor)?;
-            Ok((predictor, fit::fit_probe(setting, encoder)))
+            let predictor = fitting::fit_predictor(context, encoder).ok_or(TrainError::Predictor)?;
+            Ok((predictor, fitting::fit_probe(context, encoder)))
         },
         |(predictor, probe), dir| {
             let mut out = Writer::default();
-            checkpoint::put_predictor(&mut out, predictor);
-            checkpoint::put_probe(&mut out, probe);
-            checkpoint::write_all(&dir.join("predictor.safetensors"), &out.bytes()?)
+            predictor.put(&mut out);
+            probe.put(&mut out);
+            tensors::write_all(&dir.join("predictor.safetensors"), &out.bytes()?)
         },
     )
 }
 
 fn assemble(
-    setting: &Setting<'_>,
+    context: &TrainContext<'_>,
     encoder: Encoder,
-    predictor: Linear,
+    linear: Linear,
     probe: Probe,
     heads: Heads,
 ) -> WorldModel {
-    let [plane_c, plane_u] = *setting.planes;
-    let card = Card { format: FORMAT.into(), config: setting.config.clone(), ..Card::default() };
-    let scale = setting.config.encoder.scale;
-    WorldModel { encoder, plane_c, plane_u, scale, predictor, heads, probe, card }
+    let [plane_c, plane_u] = *context.planes;
+    let card = Card { format: FORMAT.into(), config: context.config.clone(), ..Card::default() };
+    let scale = context.config.encoder.scale;
+    let predictor = Predictor::Linear(linear.controllable(&plane(&plane_c)));
+    WorldModel { encoder, plane_c, plane_u, scale, linear, predictor, heads, probe, card }
 }
 
-/// The alarms' figures, through the cameras of the training.
-fn look_at(model: &WorldModel, setting: &Setting<'_>, noise: &Noise, check: Option<Check>) -> Figures {
-    let evaluation = &setting.config.evaluation;
+/// The diagnostics, through the cameras of the training.
+fn look_at(
+    model: &WorldModel,
+    context: &TrainContext<'_>,
+    noise: &Noise,
+    check: Option<FitCheck>,
+) -> Diagnostics {
+    let evaluation = &context.config.evaluation;
     let sizes = [evaluation.frames, evaluation.rollouts, evaluation.horizon];
-    let lenses = Lenses::new(&setting.config.cameras, noise);
+    let lenses = Lenses::new(&context.config.cameras, noise);
     let eigenvalue = check.map(|c| c.eigenvalues[1]);
-    alarms::measure(model, sizes, &lenses, setting.data.scenario, noise, eigenvalue)
+    diagnostics::measure(model, sizes, &lenses, context.data.scenario, noise, eigenvalue)
 }
 
-fn in_words(alarms: &[Alarm]) -> String {
+fn in_words(alarms: &[CollapseCheck]) -> String {
     alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// The card for people.
 fn card_text(
     model: &WorldModel,
-    figures: &Figures,
-    alarms: &[Alarm],
+    diagnostics: &Diagnostics,
+    alarms: &[CollapseCheck],
     revision: &str,
     stopwatch: Stopwatch,
 ) -> String {
@@ -363,10 +382,10 @@ fn card_text(
          | | |\n|---|---|\n\
          | trained by | `model train --seed {}`, backend {backend} |\n\
          | revision | {} |\n\
-         | data | {} episodes and {} that begin at an edge, {} actions each; {} pictures for the latent heads, {} labelled ones for the risk and channel heads |\n\
+         | data | {} episodes and {} that begin at an edge, {} actions each; {} frames for the latent heads, {} labelled ones for the risk and channel heads |\n\
          | method | {} |\n\
          | time | {wall:.0} s wall, {cpu:.0} s CPU |\n\n\
-         Measured on held-out pictures (l1 errors, 1 px = 0.01 unit):\n\n```text\n{}{}```\n",
+         Measured on held-out frames (l1 errors, 1 px = 0.01 unit):\n\n```text\n{}{}```\n",
         model.encoder.weights().parameters(),
         config.seed,
         revision,
@@ -377,6 +396,6 @@ fn card_text(
         config.heads.frames,
         config.stages.in_words(),
         metrics.table(),
-        figures.table(),
+        diagnostics.table(),
     )
 }

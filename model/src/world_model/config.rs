@@ -5,13 +5,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::evaluation::EvaluationConfig;
-use crate::evaluation::alarms::Limits;
 use crate::heads::labels::HeadsConfig;
-use crate::predictor::networks::NetworksConfig;
-use crate::training::closed_form::ClosedForm;
+use crate::predictor::{NetworksConfig, PredictorKind};
 use crate::training::lens::Lens;
-use crate::training::stages::{Layers, Stages};
+use crate::world_model::stages::{Layers, Stages};
 
 /// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -19,17 +16,17 @@ use crate::training::stages::{Layers, Stages};
 pub struct TrainConfig {
     /// Seed of all random streams.
     pub seed: u64,
-    /// What is flown to make the pictures.
+    /// What is flown to make the frames.
     pub data: DataConfig,
-    /// Pictures from which the latent heads are fitted: two sets of triples.
+    /// Frames from which the latent heads are fitted: two sets of triples.
     pub frames: usize,
     /// Lags of the long triples, intervals, log-uniform.
     pub long: [usize; 2],
     /// Lags of the short triples, on which z_u is fitted.
     pub short: [usize; 2],
-    /// Pictures a batch on the backend; more uses more memory, the result is the same.
+    /// Frames a batch on the backend; more uses more memory, the result is the same.
     pub batch: usize,
-    /// The cameras that took the pictures, one after the other for consecutive episodes; none means the
+    /// The cameras that took the frames, one after the other for consecutive episodes; none means the
     /// clean one.
     pub cameras: Vec<Lens>,
     /// What makes the encoder.
@@ -47,7 +44,7 @@ pub struct TrainConfig {
     /// What is measured at the end.
     pub evaluation: EvaluationConfig,
     /// What a model must keep to be shipped.
-    pub alarms: Limits,
+    pub alarms: AlarmLimits,
 }
 
 impl Default for TrainConfig {
@@ -67,12 +64,12 @@ impl Default for TrainConfig {
             networks: NetworksConfig::default(),
             heads: HeadsConfig::default(),
             evaluation: EvaluationConfig::default(),
-            alarms: Limits::default(),
+            alarms: AlarmLimits::default(),
         }
     }
 }
 
-/// What is flown to make the pictures.
+/// What is flown to make the frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
@@ -118,18 +115,98 @@ impl Default for EncoderConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PredictorConfig {
+    /// Which one predicts the controllable half in flights and plans.
+    #[serde(skip_serializing_if = "PredictorKind::is_default")]
+    pub kind: PredictorKind,
     /// Episodes that are encoded frame by frame.
     pub episodes: usize,
     /// Ridge to (2I, -I), relative to the largest diagonal entry.
     pub ridge: f64,
     /// Lag of the windows on which Ψ_ca is fitted, intervals. 1 is the one-step fit; over a longer lag
-    /// the action moves the UAV further and the pictures' error weighs less.
+    /// the action moves the UAV further and the frames' error weighs less.
     pub lag: usize,
 }
 
 impl Default for PredictorConfig {
     fn default() -> Self {
-        Self { episodes: 400, ridge: 1e3, lag: 10 }
+        Self { kind: PredictorKind::Linear, episodes: 400, ridge: 1e3, lag: 10 }
+    }
+}
+
+/// The heads' regularisers and trimming.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClosedForm {
+    /// Ridge of z_c's least squares, relative to the mean variance of a feature.
+    pub ridge_c: f64,
+    /// Ridge on the double differences of z_u, relative as above. On this side, not the covariance's:
+    /// there it would select noise. At 1e-6 the error is a third lower, but which triples are kept then
+    /// hangs on the last bits of the features.
+    pub ridge_u: f64,
+    /// Floor of the covariance, relative as above; keeps it positive definite.
+    pub floor_u: f64,
+    /// Share of the triples kept in each round: the others hit a wall.
+    pub keep: f64,
+    /// Rounds of trimming.
+    pub rounds: usize,
+}
+
+impl Default for ClosedForm {
+    fn default() -> Self {
+        Self { ridge_c: 1e-7, ridge_u: 1e-5, floor_u: 1e-9, keep: 0.6, rounds: 12 }
+    }
+}
+
+/// How much is measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Frames for the probe, and again as many for its test.
+    pub frames: usize,
+    /// Trajectories of 100 steps, each from rest.
+    pub rollouts: usize,
+    /// Length of a rollout, intervals.
+    pub horizon: usize,
+}
+
+impl Default for EvaluationConfig {
+    fn default() -> Self {
+        Self { frames: 4000, rollouts: 500, horizon: 100 }
+    }
+}
+
+/// Largest second eigenvalue of a z_u that is right.
+pub const EIGENVALUE_LIMIT: f64 = 2e-6;
+
+/// What a model must keep to be shipped.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlarmLimits {
+    /// Smallest effective rank of each half; two bodies' coordinates make 2.
+    pub rank: f64,
+    /// Smallest standard deviation of a half, as a share of what the gauge makes it.
+    pub spread: f64,
+    /// Largest second generalised eigenvalue of z_u's closed form. No label is needed to see it. With
+    /// pixel noise the frames' own error adds to it.
+    pub eigenvalue: f64,
+    /// Smallest R² of the right body's position from each half.
+    pub r_squared: f64,
+    /// Largest R² of the wrong body's position from each half.
+    pub leak: f64,
+    /// Smallest ratio of the rollout error with zero or shuffled actions to that with the true ones.
+    pub action_ratio: f64,
+}
+
+impl Default for AlarmLimits {
+    fn default() -> Self {
+        Self {
+            rank: 1.5,
+            spread: 0.1,
+            eigenvalue: EIGENVALUE_LIMIT,
+            r_squared: 0.99,
+            leak: 0.05,
+            action_ratio: 10.0,
+        }
     }
 }
 

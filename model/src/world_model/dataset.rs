@@ -1,5 +1,5 @@
 //! Training data: the UAV flies random actions over the whole unit square, the obstacle moves at
-//! constant speed and reflects. Positions only; pictures are drawn from them when they are needed.
+//! constant speed and reflects. Positions only; frames are drawn from them when they are needed.
 //!
 //! The UAV's centre may be anywhere in [0,1]², so discs that the frame cuts are in the data. An
 //! episode that would leave the square or reach v_max is drawn again, so its motion is linear in the
@@ -15,7 +15,7 @@ use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
-use crate::world_model::checkpoint::{CheckpointError, Reader, Writer, write_all};
+use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 
 /// Name of the dataset's file.
 pub const EPISODES: &str = "episodes.safetensors";
@@ -31,7 +31,7 @@ pub const EDGE_BAND: f64 = 0.04;
 
 /// How an episode's UAV begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Start {
+pub enum EpisodeStart {
     /// Anywhere; 30 % at rest, the others at a speed up to [`START_SPEED`].
     Mixed,
     /// Anywhere, at rest.
@@ -52,7 +52,7 @@ pub struct Episode {
 }
 
 impl Episode {
-    /// The picture at frame `k`.
+    /// The frame at frame `k`.
     #[must_use]
     pub fn frame(&self, k: usize, scenario: &Scenario) -> Frame {
         camera::render(self.uav[k], self.obstacle[k], scenario)
@@ -60,7 +60,7 @@ impl Episode {
 
     /// What the actions contribute to r_{k+2d} - 2 r_{k+d} + r_k, in units of a_max.
     #[must_use]
-    pub fn drive(&self, k: usize, d: usize) -> Vector2<f64> {
+    pub fn input_response(&self, k: usize, d: usize) -> Vector2<f64> {
         (1..2 * d).map(|j| self.actions[k + j - 1] * (d - d.abs_diff(j)) as f64).sum()
     }
 }
@@ -81,7 +81,7 @@ pub struct Triple {
 pub fn collect(
     count: usize,
     steps: usize,
-    start: Start,
+    start: EpisodeStart,
     scenario: &Scenario,
     noise: &Noise,
     purpose: u64,
@@ -105,14 +105,14 @@ pub fn collect(
 }
 
 /// One candidate, or `None` if it leaves the square or reaches v_max.
-fn draw(steps: usize, start: Start, scenario: &Scenario, rng: &mut impl Rng) -> Option<Episode> {
+fn draw(steps: usize, start: EpisodeStart, scenario: &Scenario, rng: &mut impl Rng) -> Option<Episode> {
     let mut r = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
-    if start == Start::Edge {
+    if start == EpisodeStart::Edge {
         let axis = rng.random_range(0..2);
         let depth = EDGE_BAND * rng.random::<f64>();
         r[axis] = if rng.random() { depth } else { 1.0 - depth };
     }
-    let at_rest = rng.random::<f64>() < 0.3 || start == Start::Rest;
+    let at_rest = rng.random::<f64>() < 0.3 || start == EpisodeStart::Rest;
     let speed = START_SPEED * rng.random::<f64>();
     let v = direction(rng) * if at_rest { 0.0 } else { speed };
 
@@ -180,8 +180,8 @@ pub fn triples(
 }
 
 /// Writes the episodes of a dataset: `uav`, `velocity`, `obstacle` [n, T+2, 2], `actions` [n, T, 2].
-pub fn save(episodes: &[Episode], dir: &Path) -> Result<(), CheckpointError> {
-    std::fs::create_dir_all(dir).map_err(|source| CheckpointError::File { path: dir.into(), source })?;
+pub fn save(episodes: &[Episode], dir: &Path) -> Result<(), TensorError> {
+    std::fs::create_dir_all(dir).map_err(TensorError::file(dir))?;
     let steps = episodes.first().map_or(0, |e| e.actions.len());
     let shape = [episodes.len(), steps + 2, 2];
     let flat = |pick: fn(&Episode) -> Vec<Vector2<f64>>| {
@@ -202,12 +202,11 @@ fn velocities(episode: &Episode) -> Vec<Vector2<f64>> {
 }
 
 /// Reads what [`save`] wrote; `steps` must be the episodes' length.
-pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, CheckpointError> {
+pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, TensorError> {
     let path = dir.join(EPISODES);
-    let bytes =
-        std::fs::read(&path).map_err(|source| CheckpointError::File { path: path.clone(), source })?;
+    let bytes = tensors::read(&path)?;
     let from = Reader::new(&bytes, path.clone())?;
-    let wrong = |message: &str| CheckpointError::Format { path: path.clone(), message: message.into() };
+    let wrong = |message: &str| TensorError::Format { path: path.clone(), message: message.into() };
     let count = from.shape("uav")?.first().copied().unwrap_or(0);
     if count == 0 {
         return Err(wrong("it holds no episode"));
@@ -234,24 +233,24 @@ pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, CheckpointError> {
 mod tests {
     use super::*;
 
-    fn some(start: Start) -> Vec<Episode> {
+    fn some(start: EpisodeStart) -> Vec<Episode> {
         collect(20, 40, start, &Scenario::default(), &Noise::new(5), 1)
     }
 
     #[test]
     fn second_differences_are_the_actions() {
-        for episode in some(Start::Mixed) {
+        for episode in some(EpisodeStart::Mixed) {
             for d in [1, 4, 10] {
                 let r = |k: usize| episode.uav[k];
                 let found = r(3 + 2 * d) - 2.0 * r(3 + d) + r(3);
-                assert!((found - 3.5e-3 * episode.drive(3, d)).norm() < 1e-12, "lag {d}");
+                assert!((found - 3.5e-3 * episode.input_response(3, d)).norm() < 1e-12, "lag {d}");
             }
         }
     }
 
     #[test]
     fn edge_episodes_begin_at_an_edge_and_all_stay_inside() {
-        for episode in some(Start::Edge) {
+        for episode in some(EpisodeStart::Edge) {
             let r = episode.uav[1];
             let depth = r.x.min(r.y).min(1.0 - r.x).min(1.0 - r.y);
             assert!(depth <= EDGE_BAND, "begins {depth} inside");
@@ -261,8 +260,8 @@ mod tests {
 
     #[test]
     fn equal_seeds_give_equal_data_and_it_survives_the_disk() {
-        let episodes = some(Start::Rest);
-        assert_eq!(episodes, some(Start::Rest));
+        let episodes = some(EpisodeStart::Rest);
+        assert_eq!(episodes, some(EpisodeStart::Rest));
         let dir = tempfile::tempdir().unwrap();
         save(&episodes, dir.path()).unwrap();
         assert_eq!(load(dir.path(), 40).unwrap(), episodes);
@@ -273,7 +272,7 @@ mod tests {
     #[test]
     fn a_dataset_that_cannot_be_drawn_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        let mut episodes = some(Start::Mixed);
+        let mut episodes = some(EpisodeStart::Mixed);
         episodes[7].obstacle[3].x = 1e300;
         save(&episodes, dir.path()).unwrap();
         let outside = load(dir.path(), 40).unwrap_err().to_string();

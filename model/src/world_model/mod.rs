@@ -1,33 +1,31 @@
 //! The learned world model as one value: encoder, predictors, risk and channel heads, probe.
 //!
-//! What the ground station and Algorithm 1 hold. Knows how to read a picture and to look ahead;
+//! What the ground station and Algorithm 1 hold. Knows how to read a frame and to look ahead;
 //! knows no physics, no link and no policy.
 
+pub mod card;
 pub mod checkpoint;
 pub mod config;
 pub mod dataset;
-
-use std::path::Path;
+pub mod stages;
 
 use crpl_sitl::camera::Frame;
 use nalgebra::Vector2;
-use serde::{Deserialize, Serialize};
 
 use crate::encoder::infer::Encoder;
 pub use crate::encoder::infer::Latent;
 pub use crate::encoder::probe::{Affine, Probe};
 use crate::encoder::weights::{LATENT, on_plane, vector};
-use crate::evaluation::Metrics;
-pub use crate::heads::networks::{Heads, HeadsAt};
-use crate::predictor::linear::{Linear, Plane, Reduced};
-use crate::predictor::observer::{self, Motion, Seen};
-use crate::world_model::checkpoint::CheckpointError;
-use crate::world_model::config::TrainConfig;
+pub use crate::heads::networks::{Heads, StationHeads};
+use crate::predictor::Predictor;
+use crate::predictor::linear::{Linear, Plane, PlaneLinear};
+use crate::predictor::observer::{self, LatentReading, MotionModel};
+use crate::world_model::card::Card;
 
 /// Everything that was learned of the world.
 #[derive(Debug, Clone)]
 pub struct WorldModel {
-    /// Picture to latents.
+    /// Frame to latents.
     pub encoder: Encoder,
     /// E_c [16][2], orthonormal columns: z_c = E_c y_c.
     pub plane_c: [[f32; 2]; LATENT],
@@ -35,8 +33,10 @@ pub struct WorldModel {
     pub plane_u: [[f32; 2]; LATENT],
     /// S, latent units of z_c per unit of length.
     pub scale: f64,
-    /// Ψ of both halves.
-    pub predictor: Linear,
+    /// Ψ of both halves, in all dimensions.
+    pub linear: Linear,
+    /// Predicts the controllable half, in plane coordinates.
+    pub predictor: Predictor,
     /// Collision risk and channel gain.
     pub heads: Heads,
     /// Plane coordinates to positions, for metrics, plots and walls.
@@ -45,49 +45,20 @@ pub struct WorldModel {
     pub card: Card,
 }
 
-/// What a checkpoint says of itself; equal for equal seeds (time and revision stand in card.md).
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Card {
-    /// `crpl-world-model/1`
-    pub format: String,
-    /// Backend that trained it: flex or ndarray.
-    pub backend: String,
-    /// Everything that decides its bytes.
-    pub config: TrainConfig,
-    /// Measured on held-out frames at the end of training.
-    pub metrics: Metrics,
-}
-
 impl WorldModel {
-    /// Reads `model.safetensors` and `config.json` in `dir`.
-    pub fn load(dir: &Path) -> Result<Self, CheckpointError> {
-        checkpoint::load(dir)
-    }
-
-    /// Writes `model.safetensors` and `config.json` into `dir`, which is made if it is not there.
-    pub fn save(&self, dir: &Path) -> Result<(), CheckpointError> {
-        checkpoint::save(self, dir)
-    }
-
-    /// The model that ships with the program, trained by `model train`.
-    pub fn embedded() -> Result<Self, CheckpointError> {
-        checkpoint::embedded()
-    }
-
-    /// z_c and z_u of one picture.
+    /// z_c and z_u of one frame.
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
         self.encoder.encode(frame)
     }
 
-    /// What the observer reads of one picture: y_c and y_u, each with its doubt.
+    /// What the observer reads of one frame: y_c and y_u, each with its sigma_scale.
     #[must_use]
-    pub fn see(&self, frame: &Frame) -> [Seen; 2] {
+    pub fn see(&self, frame: &Frame) -> [LatentReading; 2] {
         let features = self.encoder.features(frame);
-        let doubt = observer::doubt(features.missing[0]);
+        let sigma_scale = observer::sigma_scale(features.missing[0]);
         let latent = self.encoder.read(features);
-        [Seen { y: vector(self.y_c(&latent)), doubt }, vector(self.y_u(&latent)).into()]
+        [LatentReading { y: vector(self.y_c(&latent)), sigma_scale }, vector(self.y_u(&latent)).into()]
     }
 
     /// y_c = E_c' z_c.
@@ -104,24 +75,33 @@ impl WorldModel {
 
     /// The risk and channel heads for a base station at `station`, paper units.
     #[must_use]
-    pub fn heads_at(&self, station: Vector2<f64>) -> HeadsAt {
+    pub fn station_heads(&self, station: Vector2<f64>) -> StationHeads {
         self.heads.at(station, &self.probe)
     }
 
-    /// The predictors in plane coordinates.
+    /// The linear predictor of the controllable half, plane coordinates.
     #[must_use]
-    pub fn reduced(&self) -> Reduced {
-        self.predictor.reduced(&plane(&self.plane_c), &plane(&self.plane_u))
+    pub fn controllable(&self) -> PlaneLinear {
+        self.linear.controllable(&plane(&self.plane_c))
+    }
+
+    /// The linear predictor of the uncontrollable half, plane coordinates.
+    #[must_use]
+    pub fn uncontrollable(&self) -> PlaneLinear {
+        self.linear.uncontrollable(&plane(&self.plane_u))
     }
 
     /// How both halves move, for the observer: controllable and uncontrollable. `v_max` and `kick` (the
     /// disturbance's standard deviation) in units per interval.
     #[must_use]
-    pub fn motions(&self, v_max: f64, kick: f64) -> [Motion; 2] {
-        let psi = self.reduced();
+    pub fn motions(&self, v_max: f64, kick: f64) -> [MotionModel; 2] {
         // The probe's matrix is units per latent unit.
         let scale_u = 1.0 / (self.probe.u.matrix.norm() / std::f64::consts::SQRT_2).max(1e-9);
-        [Motion::controllable(&psi, self.scale, v_max, kick), Motion::uncontrollable(&psi, scale_u)]
+        let uncontrollable = Predictor::Linear(self.uncontrollable());
+        [
+            MotionModel::new(self.predictor.clone(), self.scale, v_max, kick),
+            MotionModel::new(uncontrollable, scale_u, f64::INFINITY, 0.0),
+        ]
     }
 
     /// Where the model sees the UAV, paper units (probe; for plots and metrics).

@@ -5,7 +5,11 @@ use crpl_model::encoder::probe::{Affine, Probe};
 use crpl_model::heads::networks::SightLine;
 use crpl_model::numeric::kernel::LANES;
 use crpl_model::numeric::mlp::Mlp;
-use crpl_model::planning::objective::{self, Draws, Head, Limits, Objective, Plant};
+use crpl_model::planning::head::Head;
+use crpl_model::planning::objective;
+use crpl_model::planning::plant::{Draws, Objective, Plant, RolloutLimits};
+use crpl_model::predictor::Predictor;
+use crpl_model::predictor::linear::PlaneLinear;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -26,13 +30,21 @@ pub fn net(widths: &[usize], last: f32, rng: &mut ChaCha8Rng) -> Mlp {
     net
 }
 
+/// Ψ_c0, Ψ_c1 and Ψ_ca of [`plant`], row by row.
+const PSI_C: [[[f32; 2]; 2]; 3] =
+    [[[2.0, 0.01], [0.0, 1.98]], [[-1.0, 0.0], [-0.01, -0.99]], [[0.035, 0.001], [-0.001, 0.035]]];
+
 /// A latent world of unit scale with random heads: nothing of it is special.
-pub fn plant(limits: Limits, rng: &mut ChaCha8Rng) -> Plant {
+pub fn plant(limits: RolloutLimits, rng: &mut ChaCha8Rng) -> Plant {
     let mut collision = net(&[4, 64, 64, 1], 3.0, rng);
     collision.layers[2].b[0] = -3.0;
     Plant {
-        psi_c: [[[2.0, 0.01], [0.0, 1.98]], [[-1.0, 0.0], [-0.01, -0.99]], [[0.035, 0.001], [-0.001, 0.035]]],
-        psi_u: [[[2.0, 0.0], [0.0, 2.0]], [[-1.0, 0.0], [0.0, -1.0]]],
+        predictor: Predictor::Linear(PlaneLinear::from_rows(PSI_C)),
+        uncontrollable: PlaneLinear::from_rows([
+            [[2.0, 0.0], [0.0, 2.0]],
+            [[-1.0, 0.0], [0.0, -1.0]],
+            [[0.0; 2]; 2],
+        ]),
         scale: 10.0,
         v_max: 0.04,
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
@@ -65,7 +77,13 @@ pub fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> 
             let obstacle = [lane(0.0, 0.1, rng), lane(-0.5, 0.1, rng)];
             let wind = (0..horizon).map(|_| [lane(0.0, 0.8, rng), lane(0.0, 0.8, rng)]).collect();
             let obstacle = [obstacle, obstacle];
-            Draws { start: [now, before], obstacles: vec![obstacle], told: None, wind, opening: Vec::new() }
+            Draws {
+                start: [now, before],
+                obstacles: vec![obstacle],
+                reported_obstacle: None,
+                wind,
+                opening: Vec::new(),
+            }
         })
         .collect()
 }
@@ -121,7 +139,7 @@ pub mod by_autodiff {
         matrix(&[m[0][0], m[1][0], m[0][1], m[1][1]], [2, 2], device)
     }
 
-    /// J and its gradient, layer by layer, weights then biases. Limits: the predictor alone.
+    /// J and its gradient, layer by layer, weights then biases. RolloutLimits: the predictor alone.
     pub fn gradient(
         plant: &Plant,
         collision: &Mlp,
@@ -134,7 +152,7 @@ pub mod by_autodiff {
         let device = Device::flex().autodiff();
         let (collision, gain) = (Net::new(collision, false, &device), Net::new(gain, false, &device));
         let policy = Net::new(motion, true, &device);
-        let p: Vec<Tensor<2>> = plant.psi_c.iter().map(|m| psi(m, &device)).collect();
+        let p: Vec<Tensor<2>> = PSI_C.iter().map(|m| psi(m, &device)).collect();
         let actions = matrix(&[0., 0., 1., 0., -1., 0., 0., 1., 0., -1.], [5, 2], &device);
         let goal = matrix(&plant.goal, [1, 2], &device);
         let obstacle = lanes(draws, |d| d.obstacles[0][0], &device);

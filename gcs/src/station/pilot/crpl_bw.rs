@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use crpl_model::world_model::HeadsAt;
+use crpl_model::world_model::StationHeads;
 use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::channel::outage_snr;
 
@@ -44,14 +44,14 @@ impl CrplBw {
 /// The smallest transmit power that carries a packet, as the channel head predicts.
 #[derive(Debug, Clone)]
 pub struct MatchedPower {
-    heads: Arc<HeadsAt>,
+    heads: Arc<StationHeads>,
     radio: RadioConstants,
 }
 
 impl MatchedPower {
     /// For the channel head of one base station and its radio.
     #[must_use]
-    pub fn new(heads: Arc<HeadsAt>, radio: RadioConstants) -> Self {
+    pub fn new(heads: Arc<StationHeads>, radio: RadioConstants) -> Self {
         Self { heads, radio }
     }
 

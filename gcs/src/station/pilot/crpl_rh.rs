@@ -6,8 +6,10 @@
 //! obstacles that move, one or two, whose speed it reads from the pictures.
 
 use anyhow::Result;
-use crpl_model::planning::algorithm1::{Here, OptimiseConfig, Receding, RecedingConfig, Stage};
+use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::policy::{Policies, features};
+use crpl_model::planning::problem::{PlanningProblem, PlanningState};
+use crpl_model::planning::receding::{Receding, RecedingConfig};
 use crpl_sitl::Scenario;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
@@ -33,10 +35,10 @@ fn connected(radio: &RadioConstants) -> f64 {
 /// Policies that the heads of the world model do not fit.
 pub fn receding(models: &Models, scenario: &Scenario, policies: &Policies) -> Result<Receding> {
     let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
-    let stage = Stage::of(&models.world, scenario, &config, 0)?;
+    let problem = PlanningProblem::of(&models.world, scenario, &config, 0)?;
     let mut budget = RecedingConfig::default();
     budget.lookahead.snr_min = connected(&RadioConstants::of(scenario));
-    Ok(Receding::new(stage, config.objective, budget, policies.motion.clone()))
+    Ok(Receding::new(problem, config.objective, budget, policies.motion.clone()))
 }
 
 /// The policy under way, and where the obstacles were.
@@ -76,25 +78,25 @@ impl CrplRh {
 
     /// Motion and power for interval `tick`.
     pub fn decide(&mut self, tick: Tick, now: Latents) -> (Motion, TxPower) {
-        let here = self.here(tick, now);
+        let state = self.planning_state(tick, now);
         let remaining = self.horizon.saturating_sub(tick.0) as usize;
-        self.receding.at(tick.0, &here, remaining);
-        let motion = self.receding.better(&here, remaining).unwrap_or_else(|| {
+        self.receding.at(tick.0, &state, remaining);
+        let motion = self.receding.better(&state, remaining).unwrap_or_else(|| {
             self.policies.motion.clone_from(self.receding.motion());
-            let told = self.receding.told();
-            let x = features(now.y_c, now.y_c_before, told, self.latent_scale, self.v_max);
+            let reported = self.receding.reported_obstacle();
+            let x = features(now.y_c, now.y_c_before, reported, self.latent_scale, self.v_max);
             Motion::nearest(self.policies.mean_motion(&x))
         });
         (motion, self.power.decide(now))
     }
 
     /// The belief to plan from: the obstacles with their speeds.
-    fn here(&mut self, tick: Tick, now: Latents) -> Here {
+    fn planning_state(&mut self, tick: Tick, now: Latents) -> PlanningState {
         self.tracks.resize_with(now.y_u.len(), Track::default);
         let followed = self.tracks.iter_mut().zip(now.y_u.iter()).map(|(track, y_u)| {
             track.follow(tick, *y_u);
             track.last_two(*y_u)
         });
-        Here { y_c: [now.y_c, now.y_c_before], y_u: followed.collect() }
+        PlanningState { y_c: [now.y_c, now.y_c_before], y_u: followed.collect() }
     }
 }

@@ -93,7 +93,7 @@ impl Pilot {
             Ok(crpl::Crpl::new(Arc::new(models.policies(scenario)?), models.world.scale, limits))
         };
         let power = || {
-            let heads = models.world.heads_at(scenario.channel.base_station);
+            let heads = models.world.station_heads(scenario.channel.base_station);
             crpl_bw::MatchedPower::new(Arc::new(heads), radio)
         };
         Ok(match controller {

@@ -16,48 +16,24 @@ use crate::encoder::infer::Latent;
 use crate::encoder::probe::{quantile, r_squared};
 use crate::encoder::weights::{LATENT, vector};
 use crate::heads::labels::{self, Scene};
+use crate::predictor::Begin;
 use crate::training::lens::{Lenses, Shot};
 use crate::world_model::WorldModel;
-use crate::world_model::dataset::{self, Start};
-
-/// What a model must keep to be shipped.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Limits {
-    /// Smallest effective rank of each half; two bodies' coordinates make 2.
-    pub rank: f64,
-    /// Smallest standard deviation of a half, as a share of what the gauge makes it.
-    pub spread: f64,
-    /// Largest second generalised eigenvalue of z_u's closed form. No label is needed to see it. With
-    /// pixel noise the pictures' own error adds to it.
-    pub eigenvalue: f64,
-    /// Smallest R² of the right body's position from each half.
-    pub r_squared: f64,
-    /// Largest R² of the wrong body's position from each half.
-    pub leak: f64,
-    /// Smallest ratio of the rollout error with zero or shuffled actions to that with the true ones.
-    pub action_ratio: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        let eigenvalue = crate::training::closed_form::EIGENVALUE_LIMIT;
-        Self { rank: 1.5, spread: 0.1, eigenvalue, r_squared: 0.99, leak: 0.05, action_ratio: 10.0 }
-    }
-}
+use crate::world_model::config::AlarmLimits;
+use crate::world_model::dataset::{self, EpisodeStart};
 
 /// One half of the latents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Side {
+pub enum LatentHalf {
     /// z_c, the UAV.
     Controllable,
     /// z_u, the obstacle.
     Uncontrollable,
 }
 
-impl Side {
-    /// Both, in the order of every pair of figures.
+impl LatentHalf {
+    /// Both, in the order of every pair of statistics.
     pub const BOTH: [Self; 2] = [Self::Controllable, Self::Uncontrollable];
 
     fn name(self) -> &'static str {
@@ -75,10 +51,10 @@ impl Side {
     }
 }
 
-/// What pictures say of one half.
+/// What frames say of one half.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct HalfFigures {
+pub struct LatentStats {
     /// Effective rank: e to the entropy of the covariance's normalised eigenvalues.
     pub rank: f64,
     /// Standard deviation of each dimension.
@@ -94,7 +70,7 @@ pub struct HalfFigures {
 /// Errors of rollouts from rest at their end, l1, 90 % quantile, px.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ActionFigures {
+pub struct ActionStats {
     /// With the true actions.
     pub true_px: f64,
     /// With none.
@@ -106,33 +82,33 @@ pub struct ActionFigures {
 /// All that the alarms look at.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Figures {
+pub struct Diagnostics {
     /// z_c and z_u.
-    pub halves: [HalfFigures; 2],
+    pub halves: [LatentStats; 2],
     /// Whether the actions matter.
-    pub actions: ActionFigures,
+    pub actions: ActionStats,
     /// Second generalised eigenvalue of z_u; none without the closed form.
     pub eigenvalue: Option<f64>,
 }
 
 /// One thing that is wrong.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Alarm {
+pub enum CollapseCheck {
     /// A half hardly varies.
-    Collapsed(Side, f64),
+    Collapsed(LatentHalf, f64),
     /// A half varies in fewer directions than its body moves in.
-    Rank(Side, f64),
+    Rank(LatentHalf, f64),
     /// A half does not hold its body.
-    Lost(Side, f64),
+    Lost(LatentHalf, f64),
     /// A half holds the other body.
-    Leaks(Side, f64),
+    Leaks(LatentHalf, f64),
     /// The closed form found no direction that is still enough to be the obstacle.
     Eigenvalue(f64),
     /// Wrong actions predict hardly worse than the true ones.
     Actions(f64),
 }
 
-impl fmt::Display for Alarm {
+impl fmt::Display for CollapseCheck {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Collapsed(side, share) => {
@@ -159,21 +135,21 @@ impl fmt::Display for Alarm {
     }
 }
 
-impl Figures {
+impl Diagnostics {
     /// What is wrong by these limits. NaN is wrong.
     #[must_use]
-    pub fn alarms(&self, limits: &Limits) -> Vec<Alarm> {
+    pub fn alarms(&self, limits: &AlarmLimits) -> Vec<CollapseCheck> {
         let mut alarms = Vec::new();
-        for (side, half) in Side::BOTH.into_iter().zip(&self.halves) {
+        for (side, half) in LatentHalf::BOTH.into_iter().zip(&self.halves) {
             alarms.extend(half.alarms(side, limits));
         }
         if self.eigenvalue.is_some_and(|value| above(value, limits.eigenvalue)) {
-            alarms.extend(self.eigenvalue.map(Alarm::Eigenvalue));
+            alarms.extend(self.eigenvalue.map(CollapseCheck::Eigenvalue));
         }
-        let ActionFigures { true_px, zero_px, shuffled_px } = self.actions;
+        let ActionStats { true_px, zero_px, shuffled_px } = self.actions;
         let ratio = zero_px.min(shuffled_px) / true_px;
         if below(ratio, limits.action_ratio) {
-            alarms.push(Alarm::Actions(ratio));
+            alarms.push(CollapseCheck::Actions(ratio));
         }
         alarms
     }
@@ -181,10 +157,10 @@ impl Figures {
     /// The table that a training run ends with.
     #[must_use]
     pub fn table(&self) -> String {
-        let pair = |of: fn(&HalfFigures) -> f64| self.halves.each_ref().map(of);
+        let pair = |of: fn(&LatentStats) -> f64| self.halves.each_ref().map(of);
         let ([rank_c, rank_u], [spread_c, spread_u]) = (pair(|h| h.rank), pair(|h| h.spread));
         let ([r2_c, r2_u], [leak_c, leak_u]) = (pair(|h| h.r_squared), pair(|h| h.leak));
-        let ActionFigures { true_px, zero_px, shuffled_px } = self.actions;
+        let ActionStats { true_px, zero_px, shuffled_px } = self.actions;
         let eigenvalue = self.eigenvalue.map_or_else(|| "-".into(), |value| format!("{value:.1e}"));
         let rows = [
             ("alarms: effective rank, z_c / z_u", format!("{rank_c:.2} / {rank_u:.2}")),
@@ -201,8 +177,8 @@ impl Figures {
     }
 }
 
-impl HalfFigures {
-    /// Figures of a half, [pictures][16], with the positions of its own and the other body. `gauge` is
+impl LatentStats {
+    /// Diagnostics of a half, [frames][16], with the positions of its own and the other body. `gauge` is
     /// the standard deviation that the half should have in all.
     #[must_use]
     pub fn new(z: &[[f32; LATENT]], own: &[Vector2<f64>], other: &[Vector2<f64>], gauge: f64) -> Self {
@@ -217,18 +193,18 @@ impl HalfFigures {
         }
     }
 
-    fn alarms(&self, side: Side, limits: &Limits) -> Vec<Alarm> {
+    fn alarms(&self, side: LatentHalf, limits: &AlarmLimits) -> Vec<CollapseCheck> {
         let mut alarms = Vec::new();
         if below(self.spread, limits.spread) {
-            alarms.push(Alarm::Collapsed(side, self.spread));
+            alarms.push(CollapseCheck::Collapsed(side, self.spread));
         } else if below(self.rank, limits.rank) {
-            alarms.push(Alarm::Rank(side, self.rank));
+            alarms.push(CollapseCheck::Rank(side, self.rank));
         }
         if below(self.r_squared, limits.r_squared) {
-            alarms.push(Alarm::Lost(side, self.r_squared));
+            alarms.push(CollapseCheck::Lost(side, self.r_squared));
         }
         if above(self.leak, limits.leak) {
-            alarms.push(Alarm::Leaks(side, self.leak));
+            alarms.push(CollapseCheck::Leaks(side, self.leak));
         }
         alarms
     }
@@ -251,18 +227,18 @@ pub fn gauges(scale: f64) -> [f64; 2] {
     [scale * (2.0f64 / 12.0).sqrt(), std::f64::consts::SQRT_2]
 }
 
-/// Figures of both halves, with the scenes that were encoded.
+/// Diagnostics of both halves, with the scenes that were encoded.
 #[must_use]
-pub fn halves(latents: &[Latent], scenes: &[Scene], scale: f64) -> [HalfFigures; 2] {
+pub fn halves(latents: &[Latent], scenes: &[Scene], scale: f64) -> [LatentStats; 2] {
     let uav: Vec<_> = scenes.iter().map(|s| s.uav).collect();
     let obstacle: Vec<_> = scenes.iter().map(|s| s.obstacle).collect();
     let z_c: Vec<_> = latents.iter().map(|l| l.z_c).collect();
     let z_u: Vec<_> = latents.iter().map(|l| l.z_u).collect();
     let [gauge_c, gauge_u] = gauges(scale);
-    [HalfFigures::new(&z_c, &uav, &obstacle, gauge_c), HalfFigures::new(&z_u, &obstacle, &uav, gauge_u)]
+    [LatentStats::new(&z_c, &uav, &obstacle, gauge_c), LatentStats::new(&z_u, &obstacle, &uav, gauge_u)]
 }
 
-/// Looks at a model through the cameras of its training: `count` pictures, bodies anywhere, and
+/// Looks at a model through the cameras of its training: `count` frames, bodies anywhere, and
 /// `rollouts` flights of `horizon` steps from rest.
 #[must_use]
 pub fn measure(
@@ -272,7 +248,7 @@ pub fn measure(
     scenario: &Scenario,
     noise: &Noise,
     eigenvalue: Option<f64>,
-) -> Figures {
+) -> Diagnostics {
     let mut rng = noise.generator(Stream::Evaluation, 20);
     let scenes: Vec<Scene> = (0..count).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
     let numbered: Vec<usize> = (0..count).collect();
@@ -281,7 +257,7 @@ pub fn measure(
         lenses.take(scenes[n].frame(scenario), shot)
     });
     let actions = rollouts_from_rest(model, [rollouts, horizon], lenses, scenario, noise);
-    Figures { halves: halves(&latents, &scenes, model.scale), actions, eigenvalue }
+    Diagnostics { halves: halves(&latents, &scenes, model.scale), actions, eigenvalue }
 }
 
 /// Keeps the alarms' episodes apart from the training and the evaluation ones.
@@ -293,9 +269,8 @@ fn rollouts_from_rest(
     lenses: &Lenses,
     scenario: &Scenario,
     noise: &Noise,
-) -> ActionFigures {
-    let episodes = dataset::collect(count, horizon, Start::Rest, scenario, noise, ALARM_EPISODES);
-    let psi = model.reduced();
+) -> ActionStats {
+    let episodes = dataset::collect(count, horizon, EpisodeStart::Rest, scenario, noise, ALARM_EPISODES);
     let mut errors: [Vec<f64>; 3] = Default::default();
     for (n, episode) in episodes.iter().enumerate() {
         let shot = Shot { series: n as u64, frame: 1 };
@@ -304,15 +279,14 @@ fn rollouts_from_rest(
         let other = &episodes[(n + 1) % episodes.len()].actions;
         let zero = vec![Vector2::zeros(); horizon];
         for (errors, actions) in errors.iter_mut().zip([&episode.actions, &zero, other]) {
-            let (mut now, mut before) = (vector(model.y_c(&start)), vector(model.y_c(&start)));
-            for a in actions {
-                (now, before) = (psi.step_c(now, before, *a), now);
-            }
-            errors.push(SIDE as f64 * (model.probe.c.apply(now) - goal).abs().sum());
+            let y = vector(model.y_c(&start));
+            let path = model.predictor.rollout(Begin { now: y, before: y, actions });
+            let end = path.last().copied().unwrap_or(y);
+            errors.push(SIDE as f64 * (model.probe.c.apply(end) - goal).abs().sum());
         }
     }
     let [true_px, zero_px, shuffled_px] = errors.map(|e| quantile(&e, 0.9));
-    ActionFigures { true_px, zero_px, shuffled_px }
+    ActionStats { true_px, zero_px, shuffled_px }
 }
 
 fn covariance(z: &[[f32; LATENT]]) -> DMatrix<f64> {
@@ -340,20 +314,20 @@ fn effective_rank(covariance: &DMatrix<f64>) -> f64 {
 mod tests {
     use super::*;
 
-    fn good() -> Figures {
-        let half = HalfFigures { rank: 2.0, spread: 1.0, r_squared: 0.9999, leak: 0.0, ..Default::default() };
-        let actions = ActionFigures { true_px: 0.1, zero_px: 100.0, shuffled_px: 140.0 };
-        Figures { halves: [half; 2], actions, eigenvalue: Some(8e-7) }
+    fn good() -> Diagnostics {
+        let half = LatentStats { rank: 2.0, spread: 1.0, r_squared: 0.9999, leak: 0.0, ..Default::default() };
+        let actions = ActionStats { true_px: 0.1, zero_px: 100.0, shuffled_px: 140.0 };
+        Diagnostics { halves: [half; 2], actions, eigenvalue: Some(8e-7) }
     }
 
     #[test]
     fn each_failure_says_so_in_words() {
-        let limits = Limits::default();
+        let limits = AlarmLimits::default();
         assert_eq!(good().alarms(&limits), []);
-        let words = |change: fn(&mut Figures)| {
-            let mut figures = good();
-            change(&mut figures);
-            let alarms = figures.alarms(&limits);
+        let words = |change: fn(&mut Diagnostics)| {
+            let mut diagnostics = good();
+            change(&mut diagnostics);
+            let alarms = diagnostics.alarms(&limits);
             alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
         };
         assert_eq!(

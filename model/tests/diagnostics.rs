@@ -1,12 +1,11 @@
 //! Failures planted in training: each raises its alarm, and none ships.
 
 use crpl_model::encoder::module::Backend;
-use crpl_model::evaluation::EvaluationConfig;
-use crpl_model::evaluation::alarms::{Alarm, Side};
+use crpl_model::evaluation::diagnostics::{CollapseCheck, LatentHalf};
 use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::training::recipe::{Run, TrainError, train, without_heads};
-use crpl_model::training::stages::{Gradient, Init, Loss, PsiStart, Stages};
-use crpl_model::world_model::config::{DataConfig, PredictorConfig, TrainConfig};
+use crpl_model::world_model::config::{DataConfig, EvaluationConfig, PredictorConfig, TrainConfig};
+use crpl_model::world_model::stages::{Gradient, GradientLoss, Init, PsiStart, Stages};
 use crpl_sitl::program::timing::Stopwatch;
 
 fn small() -> TrainConfig {
@@ -21,15 +20,16 @@ fn small() -> TrainConfig {
     }
 }
 
-fn alarms(config: &TrainConfig) -> Vec<Alarm> {
-    let (_, figures) = without_heads(config, Backend::Flex).expect("the fit succeeds, whatever it is worth");
-    figures.alarms(&config.alarms)
+fn alarms(config: &TrainConfig) -> Vec<CollapseCheck> {
+    let (_, diagnostics) =
+        without_heads(config, Backend::Flex).expect("the fit succeeds, whatever it is worth");
+    diagnostics.alarms(&config.alarms)
 }
 
 /// The paper's loss with predictors that learn from the start, heads by gradient.
 fn learned_from_the_start(steps: usize) -> TrainConfig {
     let gradient = Gradient {
-        loss: Loss::Paper,
+        loss: GradientLoss::Paper,
         psi: PsiStart::Learned,
         steps,
         batch: 2,
@@ -51,8 +51,11 @@ fn a_sound_recipe_raises_none() {
 #[test]
 fn predictors_that_learn_from_the_start_let_both_halves_collapse() {
     let alarms = alarms(&learned_from_the_start(60));
-    for side in Side::BOTH {
-        assert!(alarms.iter().any(|a| matches!(a, Alarm::Collapsed(s, _) if *s == side)), "{alarms:?}");
+    for side in LatentHalf::BOTH {
+        assert!(
+            alarms.iter().any(|a| matches!(a, CollapseCheck::Collapsed(s, _) if *s == side)),
+            "{alarms:?}"
+        );
     }
 }
 
@@ -60,18 +63,18 @@ fn predictors_that_learn_from_the_start_let_both_halves_collapse() {
 fn kaimings_weights_lose_both_bodies() {
     let config = TrainConfig { stages: Stages { init: Init::Kaiming, ..Stages::default() }, ..small() };
     let alarms = alarms(&config);
-    for side in Side::BOTH {
-        assert!(alarms.iter().any(|a| matches!(a, Alarm::Lost(s, _) if *s == side)), "{alarms:?}");
+    for side in LatentHalf::BOTH {
+        assert!(alarms.iter().any(|a| matches!(a, CollapseCheck::Lost(s, _) if *s == side)), "{alarms:?}");
     }
 }
 
 #[test]
-fn too_few_pictures_are_told_by_the_eigenvalue() {
+fn too_few_frames_are_told_by_the_eigenvalue() {
     // A trunk with mixing noise needs more of them than one without.
     let mut config = TrainConfig { frames: 3000, ..small() };
     config.encoder.mix = 0.03;
     let alarms = alarms(&config);
-    assert!(alarms.iter().any(|a| matches!(a, Alarm::Eigenvalue(_))), "{alarms:?}");
+    assert!(alarms.iter().any(|a| matches!(a, CollapseCheck::Eigenvalue(_))), "{alarms:?}");
 }
 
 #[test]

@@ -34,8 +34,8 @@ impl Stages {
             None => "the trunk is not trained".into(),
             Some(g) => {
                 let loss = match g.loss {
-                    Loss::RecipeB => "recipe B's loss",
-                    Loss::Paper => "the paper's loss",
+                    GradientLoss::WhitenedPrediction => "the whitened prediction loss",
+                    GradientLoss::Paper => "the paper's loss",
                 };
                 let layers = match g.layers {
                     Layers::All => "the trunk",
@@ -63,20 +63,20 @@ pub enum Init {
 #[serde(default, deny_unknown_fields)]
 pub struct Gradient {
     /// What is minimised.
-    pub loss: Loss,
+    pub loss: GradientLoss,
     /// Whether the predictors learn, too.
     pub psi: PsiStart,
     /// Which layers of the trunk learn.
     pub layers: Layers,
     /// Where the latent heads of this stage come from.
     pub heads: HeadStart,
-    /// With closed-form heads: steps between two fits, each on `refit_frames` pictures.
+    /// With closed-form heads: steps between two fits, each on `refit_frames` frames.
     pub refit_every: usize,
-    /// Pictures of such a fit.
+    /// Frames of such a fit.
     pub refit_frames: usize,
     /// Steps of AdamW without decay, (0.9, 0.99).
     pub steps: usize,
-    /// Triples a step of each set: six times as many pictures.
+    /// Triples a step of each set: six times as many frames.
     pub batch: usize,
     /// Learning rate after the warm-up; falls to 1 % of it as a cosine.
     pub learning_rate: f64,
@@ -86,13 +86,13 @@ pub struct Gradient {
     pub clip: f64,
     /// τ: φ_tar ← τ φ_tar + (1-τ) φ, Eq. (7), Sec. II-A3.
     pub momentum: f64,
-    /// Recipe B: weight of the error against the target encoder beside that against the online one.
+    /// Whitened prediction loss: weight of the error against the target encoder beside that against the online one.
     pub target_weight: f64,
-    /// Recipe B: share of the short triples kept in z_u's loss: the others hit a wall.
+    /// Whitened prediction loss: share of the short triples kept in z_u's loss: the others hit a wall.
     pub keep: f64,
-    /// Recipe B: weight of z_u's whitening on its plane.
+    /// Whitened prediction loss: weight of z_u's whitening on its plane.
     pub whitening: f64,
-    /// Recipe B: weight of what lies off the two planes.
+    /// Whitened prediction loss: weight of what lies off the two planes.
     pub off_plane: f64,
     /// Steps between two saved states, from which `--resume` goes on.
     pub save_every: usize,
@@ -101,7 +101,7 @@ pub struct Gradient {
 impl Default for Gradient {
     fn default() -> Self {
         Self {
-            loss: Loss::RecipeB,
+            loss: GradientLoss::WhitenedPrediction,
             psi: PsiStart::Pinned,
             layers: Layers::All,
             heads: HeadStart::Random,
@@ -125,10 +125,11 @@ impl Default for Gradient {
 /// What the gradient stage minimises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Loss {
+pub enum GradientLoss {
     /// Prediction errors of both halves with the gradient through every online frame, each divided by
     /// its own running mean; z_u whitened and trimmed; a little weight on the target encoder.
-    RecipeB,
+    #[serde(rename = "whitened_prediction_loss")]
+    WhitenedPrediction,
     /// The paper's, Eq. (8), Sec. II-A3: |ẑ_c - z_c,tar|² + |ẑ_u - z_u,tar|², no gradient through the target,
     /// nothing else.
     Paper,

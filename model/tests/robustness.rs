@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crpl_model::evaluation::robustness::{HardRow, hard_table};
+use crpl_model::evaluation::robustness::{RobustnessRow, robustness_table};
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::world::noise::Noise;
@@ -10,11 +10,11 @@ use crpl_sitl::world::noise::Noise;
 /// A seed that no training used.
 const SEED: u64 = 0x6861_7264;
 
-fn rows(model: &WorldModel) -> Vec<HardRow> {
-    hard_table(model, 600, &Scenario::default(), &Noise::new(SEED))
+fn rows(model: &WorldModel) -> Vec<RobustnessRow> {
+    robustness_table(model, 600, &Scenario::default(), &Noise::new(SEED))
 }
 
-fn row<'a>(rows: &'a [HardRow], case: &str) -> &'a HardRow {
+fn row<'a>(rows: &'a [RobustnessRow], case: &str) -> &'a RobustnessRow {
     rows.iter().find(|r| r.case == case).unwrap_or_else(|| panic!("no case {case}"))
 }
 
@@ -39,7 +39,7 @@ fn the_encoder_trained_on_harder_cameras_holds_on_each_of_them() {
 }
 
 #[test]
-fn the_shipped_encoder_lives_on_pure_colours_and_clean_pictures() {
+fn the_shipped_encoder_lives_on_pure_colours_and_clean_frames() {
     let rows = rows(&WorldModel::embedded().unwrap());
     let clean = row(&rows, "clean, whole disc");
     assert!(clean.z_c_p90_px <= 0.15 && clean.z_u_p90_px <= 0.3, "{clean:?}");
@@ -52,7 +52,7 @@ fn the_shipped_encoder_lives_on_pure_colours_and_clean_pictures() {
 #[test]
 fn the_table_is_a_function_of_the_seed() {
     let model = WorldModel::embedded().unwrap();
-    let table = |seed| hard_table(&model, 50, &Scenario::default(), &Noise::new(seed));
+    let table = |seed| robustness_table(&model, 50, &Scenario::default(), &Noise::new(seed));
     assert_eq!(table(1), table(1));
     assert_ne!(table(1), table(2));
     assert!(table(1).iter().all(|row| row.z_c_p90_px.is_finite() && row.z_u_p90_px.is_finite()));

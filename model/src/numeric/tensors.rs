@@ -1,0 +1,261 @@
+//! Named tensors in a safetensors file: every shape, type and value is checked on reading.
+//!
+//! Knows names, shapes and bytes; nothing of what the numbers mean.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use nalgebra::SMatrix;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+
+use crate::numeric::mlp::Mlp;
+
+/// Why tensors could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum TensorError {
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is not what it should be.
+    #[error("{path}: {message}")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// From the parser.
+        message: String,
+    },
+    /// A tensor is not there.
+    #[error("{path}: tensor `{name}` is missing")]
+    Missing {
+        /// The file.
+        path: PathBuf,
+        /// The tensor.
+        name: String,
+    },
+    /// A tensor has another shape.
+    #[error("{path}: tensor `{name}` has shape {found:?}, expected {expected:?}")]
+    Shape {
+        /// The file.
+        path: PathBuf,
+        /// The tensor.
+        name: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// The shape that the program needs.
+        expected: Vec<usize>,
+    },
+    /// A tensor has another number type.
+    #[error("{path}: tensor `{name}` has type {found}, expected {expected}")]
+    Type {
+        /// The file.
+        path: PathBuf,
+        /// The tensor.
+        name: String,
+        /// Its type.
+        found: String,
+        /// The type that the program needs.
+        expected: String,
+    },
+    /// A tensor holds an infinity or NaN.
+    #[error("{path}: tensor `{name}` holds a value that is not finite")]
+    NotFinite {
+        /// The file.
+        path: PathBuf,
+        /// The tensor.
+        name: String,
+    },
+}
+
+impl TensorError {
+    /// For `map_err` on an operation on the file or folder `path`.
+    pub fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::File { path, source }
+    }
+}
+
+/// The bytes of a file.
+///
+/// # Errors
+/// [`TensorError::File`] if it cannot be read.
+pub fn read(path: &Path) -> Result<Vec<u8>, TensorError> {
+    std::fs::read(path).map_err(TensorError::file(path))
+}
+
+/// Writes a file in one go: first beside it, then over it, so that Ctrl-C leaves no half of one.
+pub fn write_all(path: &Path, bytes: &[u8]) -> Result<(), TensorError> {
+    let beside = path.with_extension("part");
+    std::fs::write(&beside, bytes)
+        .and_then(|()| std::fs::rename(&beside, path))
+        .map_err(TensorError::file(path))
+}
+
+/// A value that is a set of named tensors.
+pub trait Stored: Sized {
+    /// Adds its tensors to a file.
+    fn put(&self, out: &mut Writer);
+
+    /// Reads what [`Stored::put`] wrote.
+    ///
+    /// # Errors
+    /// If a tensor is missing or has another shape or type, or a value is not finite.
+    fn get(from: &Reader<'_>) -> Result<Self, TensorError>;
+}
+
+/// Collects named tensors and serialises them in a fixed order.
+#[derive(Debug, Default)]
+pub struct Writer {
+    tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)>,
+}
+
+impl Writer {
+    /// Adds a tensor of f32.
+    pub fn f32(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = f32>) {
+        let bytes = values.into_iter().flat_map(f32::to_le_bytes).collect();
+        self.tensors.push((name.into(), Dtype::F32, shape.to_vec(), bytes));
+    }
+
+    /// Adds a tensor of f64.
+    pub fn f64(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = f64>) {
+        let bytes = values.into_iter().flat_map(f64::to_le_bytes).collect();
+        self.tensors.push((name.into(), Dtype::F64, shape.to_vec(), bytes));
+    }
+
+    /// Adds a matrix of f64, row by row.
+    pub fn matrix<const R: usize, const C: usize>(&mut self, name: &str, matrix: &SMatrix<f64, R, C>) {
+        self.f64(name, &[R, C], matrix.transpose().iter().copied());
+    }
+
+    /// Adds `{name}.{n}.weight` [out, in] and `{name}.{n}.bias` for every layer.
+    pub fn mlp(&mut self, name: &str, mlp: &Mlp) {
+        for (n, layer) in mlp.layers.iter().enumerate() {
+            let (inputs, outputs) = (layer.inputs, layer.outputs);
+            let transposed = (0..outputs).flat_map(|o| (0..inputs).map(move |i| layer.w[i * outputs + o]));
+            self.f32(&format!("{name}.{n}.weight"), &[outputs, inputs], transposed);
+            self.f32(&format!("{name}.{n}.bias"), &[outputs], layer.b.iter().copied());
+        }
+    }
+
+    /// The bytes of a safetensors file.
+    ///
+    /// # Errors
+    /// [`TensorError::Format`] if a shape and its values disagree.
+    pub fn bytes(&self) -> Result<Vec<u8>, TensorError> {
+        self.bytes_about(None)
+    }
+
+    /// The bytes of a safetensors file with this metadata.
+    pub fn bytes_about(&self, metadata: Option<HashMap<String, String>>) -> Result<Vec<u8>, TensorError> {
+        let wrong = |e: safetensors::SafeTensorError| TensorError::Format {
+            path: "tensors".into(),
+            message: e.to_string(),
+        };
+        let mut views = Vec::with_capacity(self.tensors.len());
+        for (name, dtype, shape, bytes) in &self.tensors {
+            views.push((name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).map_err(wrong)?));
+        }
+        safetensors::serialize(views, metadata).map_err(wrong)
+    }
+}
+
+/// Reads named tensors and checks their shapes.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    tensors: SafeTensors<'a>,
+    path: PathBuf,
+}
+
+impl<'a> Reader<'a> {
+    /// Parses the bytes of a safetensors file; `path` is for the error messages.
+    pub fn new(bytes: &'a [u8], path: PathBuf) -> Result<Self, TensorError> {
+        match SafeTensors::deserialize(bytes) {
+            Ok(tensors) => Ok(Self { tensors, path }),
+            Err(e) => Err(TensorError::Format { path, message: format!("not a safetensors file: {e}") }),
+        }
+    }
+
+    /// Whether the file holds this tensor.
+    #[must_use]
+    pub fn has(&self, name: &str) -> bool {
+        self.tensors.tensor(name).is_ok()
+    }
+
+    /// The shape of a tensor.
+    pub fn shape(&self, name: &str) -> Result<Vec<usize>, TensorError> {
+        Ok(self.view(name)?.shape().to_vec())
+    }
+
+    /// A tensor of f32 with this shape.
+    pub fn f32(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
+        let view = self.checked(name, shape, Dtype::F32)?;
+        let (words, _) = view.data().as_chunks::<4>();
+        let values: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
+        self.finite(name, values.iter().all(|v| v.is_finite()))?;
+        Ok(values)
+    }
+
+    /// A tensor of f64 with this shape.
+    pub fn f64(&self, name: &str, shape: &[usize]) -> Result<Vec<f64>, TensorError> {
+        let view = self.checked(name, shape, Dtype::F64)?;
+        let (words, _) = view.data().as_chunks::<8>();
+        let values: Vec<f64> = words.iter().map(|w| f64::from_le_bytes(*w)).collect();
+        self.finite(name, values.iter().all(|v| v.is_finite()))?;
+        Ok(values)
+    }
+
+    /// A matrix of f64.
+    pub fn matrix<const R: usize, const C: usize>(
+        &self,
+        name: &str,
+    ) -> Result<SMatrix<f64, R, C>, TensorError> {
+        Ok(SMatrix::from_row_slice(&self.f64(name, &[R, C])?))
+    }
+
+    /// The network with these widths.
+    pub fn mlp(&self, name: &str, widths: &[usize]) -> Result<Mlp, TensorError> {
+        let mut mlp = Mlp::zeros(widths);
+        for (n, layer) in mlp.layers.iter_mut().enumerate() {
+            let (inputs, outputs) = (layer.inputs, layer.outputs);
+            let w = self.f32(&format!("{name}.{n}.weight"), &[outputs, inputs])?;
+            for i in 0..inputs {
+                for o in 0..outputs {
+                    layer.w[i * outputs + o] = w[o * inputs + i];
+                }
+            }
+            layer.b = self.f32(&format!("{name}.{n}.bias"), &[outputs])?;
+        }
+        Ok(mlp)
+    }
+
+    fn view(&self, name: &str) -> Result<TensorView<'a>, TensorError> {
+        self.tensors
+            .tensor(name)
+            .map_err(|_| TensorError::Missing { path: self.path.clone(), name: name.into() })
+    }
+
+    fn checked(&self, name: &str, shape: &[usize], dtype: Dtype) -> Result<TensorView<'a>, TensorError> {
+        let view = self.view(name)?;
+        let (path, name) = (self.path.clone(), name.to_owned());
+        if view.shape() != shape {
+            let (found, expected) = (view.shape().to_vec(), shape.to_vec());
+            return Err(TensorError::Shape { path, name, found, expected });
+        }
+        if view.dtype() != dtype {
+            let (found, expected) = (format!("{:?}", view.dtype()), format!("{dtype:?}"));
+            return Err(TensorError::Type { path, name, found, expected });
+        }
+        Ok(view)
+    }
+
+    fn finite(&self, name: &str, all: bool) -> Result<(), TensorError> {
+        if all {
+            return Ok(());
+        }
+        Err(TensorError::NotFinite { path: self.path.clone(), name: name.into() })
+    }
+}

@@ -1,0 +1,149 @@
+//! The learned world as Algorithm 1 rolls it out, and what a batch of rollouts is given and gives.
+
+use serde::{Deserialize, Serialize};
+
+use crate::numeric::kernel::{LANES, Lane};
+use crate::planning::area::Area;
+use crate::planning::head::Head;
+use crate::predictor::Predictor;
+use crate::predictor::linear::PlaneLinear;
+
+/// Weights and slopes of J_η. `Default`: paper-given where the paper gives them, else docs/choices.md.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Objective {
+    /// Weight of |r - r_g|²: what the unknown latent scale of ‖z_c - z_g‖² in Eq. (9) stands for.
+    pub lambda_goal: f64,
+    /// λ_s
+    pub lambda_motion: f64,
+    /// λ_p
+    pub lambda_power: f64,
+    /// α, slope of the smooth outage.
+    pub alpha: f64,
+    /// β of the soft minimum.
+    pub beta: f64,
+    /// ε_b
+    pub barrier_residual: f64,
+    /// δ1
+    pub collision_tolerance: f64,
+    /// δ2
+    pub outage_tolerance: f64,
+    /// γ_min P_n: the received power that counts as connected.
+    pub snr_min: f64,
+}
+
+impl Default for Objective {
+    fn default() -> Self {
+        Self {
+            lambda_goal: 0.05,
+            lambda_motion: 1e-4,
+            lambda_power: 1e-5,
+            alpha: 3.0,
+            beta: 500.0,
+            barrier_residual: 1e-4,
+            collision_tolerance: 0.05,
+            outage_tolerance: 0.05,
+            snr_min: 1.0,
+        }
+    }
+}
+
+/// What the latent rollout knows beyond the predictor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RolloutLimits {
+    /// The learned predictor alone.
+    Plain,
+    /// And the speed limit.
+    Clip,
+    /// And the walls.
+    Walls,
+}
+
+/// The learned world in plane coordinates: predictor, heads and goal.
+#[derive(Debug, Clone)]
+pub struct Plant {
+    /// Predicts y_c. A gust enters as an action.
+    pub predictor: Predictor,
+    /// Predicts y_u of each obstacle.
+    pub uncontrollable: PlaneLinear,
+    /// S, latent units per unit of length.
+    pub scale: f32,
+    /// v_max, units per interval.
+    pub v_max: f32,
+    /// Images of the frame's corners (0,0) and (1,1) in y_c.
+    pub corners: [[f32; 2]; 2],
+    /// Where each obstacle can be, in y_u; `None`, or no entry, predicts it straight on for ever.
+    pub areas: Vec<Option<Area>>,
+    /// What the rollout knows of limits.
+    pub limits: RolloutLimits,
+    /// y_g
+    pub goal: [f32; 2],
+    /// Logit of the collision probability.
+    pub collision: Head,
+    /// log(|h|²/P_n).
+    pub gain: Head,
+}
+
+/// Starts and disturbances of [`LANES`] rollouts.
+#[derive(Debug, Clone)]
+pub struct Draws {
+    /// y_c at k = 0 and k = -1.
+    pub start: [[Lane; 2]; 2],
+    /// y_u of each obstacle at k = 0 and k = -1; at least one.
+    pub obstacles: Vec<[[Lane; 2]; 2]>,
+    /// The y_u that the policy reads, if it is not the first obstacle's own: one that was trained beside a
+    /// standing obstacle has learned nothing of others.
+    pub reported_obstacle: Option<[f32; 2]>,
+    /// (kick/a_max) w_k, one [Lane; 2] an interval; its length is the horizon H.
+    pub wind: Vec<[Lane; 2]>,
+    /// Motions of the first intervals that are not the policy's, one row an interval; for
+    /// [`evaluate`] alone, [`gradient`] takes them for the policy's own.
+    pub opening: Vec<[Option<[f32; 2]>; LANES]>,
+}
+
+/// Rollout-based estimates of one batch.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ObjectiveEstimate {
+    /// J_η
+    pub j: f64,
+    /// Mean of Σ_k ℓ_k.
+    pub cost: f64,
+    /// P̂_safe
+    pub p_safe: f64,
+    /// P̂_comm at the given power.
+    pub p_comm: f64,
+}
+
+/// Scores of single rollouts: Σ ℓ_k, s_safe, s_comm.
+#[derive(Debug, Clone, Default)]
+pub struct Scores {
+    /// Σ_k ℓ_k
+    pub cost: Vec<f64>,
+    /// s_safe
+    pub safe: Vec<f64>,
+    /// s_comm
+    pub comm: Vec<f64>,
+}
+
+/// How the batch enters J: barrier weight (`None` while the obstacle is removed) and power.
+#[derive(Debug, Clone, Copy)]
+pub struct RolloutOptions {
+    /// η, or no barrier at all.
+    pub eta: Option<f64>,
+    /// a_p during the rollout (stage 1: the maximum).
+    pub power: f64,
+    /// Whether the rollout flies the feasible action nearest to the relaxed one, with the relaxed
+    /// one's gradient (straight-through), or the relaxed one itself.
+    pub execution: Execution,
+}
+
+/// Which action a training rollout flies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Execution {
+    /// Nearest feasible forward, relaxed backward.
+    Nearest,
+    /// Relaxed both ways.
+    Relaxed,
+}
