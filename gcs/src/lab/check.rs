@@ -21,7 +21,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::lab::Contender;
-use crate::lab::optimise::one_obstacle;
 use crate::station::models::ModelFiles;
 use crate::station::pilot::Controller;
 
@@ -197,6 +196,18 @@ pub fn run(args: &Check) -> Result<()> {
         print!("{check}");
     }
     check.verdict()
+}
+
+/// Algorithm 1 knows one obstacle, which stands.
+pub(crate) fn one_obstacle(scenario: &Scenario) -> Result<()> {
+    if scenario.obstacles.len() != 1 {
+        bail!(
+            "scenario {:?} has {} obstacles; Algorithm 1 plans for one, crpl-rh in flight for two",
+            scenario.name,
+            scenario.obstacles.len()
+        );
+    }
+    Ok(())
 }
 
 /// The check that follows an optimisation with `config`.

@@ -20,7 +20,7 @@ use crpl_sitl::scenario::presets;
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
-use crate::lab::check::{self, ConstraintCheck};
+use crate::lab::check::{self, ConstraintCheck, one_obstacle};
 use crate::station::models::Models;
 
 /// Flags of `gcs optimise`.
@@ -142,18 +142,6 @@ pub fn run(args: &Optimise) -> Result<()> {
         println!("{wall_s:.1} s; {}", args.out.join(format!("{kept}.safetensors")).display());
     }
     flown.verdict()
-}
-
-/// Algorithm 1 knows one obstacle, which stands.
-pub(crate) fn one_obstacle(scenario: &Scenario) -> Result<()> {
-    if scenario.obstacles.len() != 1 {
-        bail!(
-            "scenario {:?} has {} obstacles; Algorithm 1 plans for one, crpl-rh in flight for two",
-            scenario.name,
-            scenario.obstacles.len()
-        );
-    }
-    Ok(())
 }
 
 /// Optimises once for each of [`RolloutLimits`] and prints what they are worth, in latent rollouts and in flight.

@@ -10,6 +10,7 @@ pub mod seen;
 
 use std::sync::Arc;
 
+use anyhow::Result;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Fates;
@@ -19,7 +20,8 @@ use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use crate::station::belief::Belief;
-use crate::station::pilot::Pilot;
+use crate::station::models::Models;
+use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
 
 /// A flight in progress, seen from the ground.
@@ -32,6 +34,13 @@ pub struct Station {
     last: Option<(Telemetry, Command)>,
     records: Vec<Record>,
     missed: u64,
+}
+
+impl Models {
+    /// A station that flies `controller`.
+    pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
+        Ok(Station::new(scenario.clone(), self.world.clone(), Pilot::load(controller, self, scenario)?))
+    }
 }
 
 impl Station {

@@ -9,9 +9,6 @@ use crpl_model::world_model::{WorldModel, checkpoint};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::COLOURS;
 
-use crate::station::Station;
-use crate::station::pilot::{Controller, Pilot};
-
 /// The trained things that a station needs.
 #[derive(Debug, Clone)]
 pub struct Models {
@@ -69,11 +66,6 @@ impl Models {
             )
         })?;
         Ok(Policies::shipped(number)?)
-    }
-
-    /// A station that flies `controller`.
-    pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
-        Ok(Station::new(scenario.clone(), self.world.clone(), Pilot::load(controller, self, scenario)?))
     }
 }
 

@@ -10,8 +10,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-use crate::units::Scale;
-use crate::world::obstacles::MAX_OBSTACLES;
+use crate::units::{MAX_OBSTACLES, Scale};
 
 /// One flight's parameters. Lengths in the paper's units, times in control intervals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

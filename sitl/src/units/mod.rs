@@ -1,8 +1,10 @@
 //! Quantities that are easily mixed up, and the scale between the paper's square and NED metres.
 
 mod action;
+mod per_obstacle;
 
 pub use action::{Motion, NoSuchPower, TxPower};
+pub use per_obstacle::{MAX_OBSTACLES, PerObstacle};
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
