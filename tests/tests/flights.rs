@@ -8,7 +8,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use crpl_gcs::flight::remote::{Event, Remote};
+use crpl_gcs::flight::remote::{Remote, RemoteEvent};
 use crpl_gcs::lab;
 use crpl_gcs::lab::run;
 use crpl_gcs::station::Station;
@@ -66,7 +66,7 @@ fn through_bytes(controller: Controller) -> Station {
         }
         while let Some((_, datagram)) = vehicle.poll() {
             for event in remote.datagram(&datagram, now) {
-                let Event::Percept(percept) = event else { continue };
+                let RemoteEvent::Percept(percept) = event else { continue };
                 if percept.telemetry.tick.0 == scenario.horizon {
                     station.finish(&percept);
                     down.push_back(remote.acknowledgement(percept.telemetry.tick));

@@ -16,7 +16,7 @@ use tokio::io::{AsyncBufReadExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
-use crate::flight::{self, Ended, Options};
+use crate::flight::{self, FlightEnd, Options};
 use crate::lab::run::{self, Summary};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
@@ -25,14 +25,14 @@ use crate::station::pilot::Controller;
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A `sitl` process that ends with us.
-struct Vehicle {
+struct VehicleProcess {
     child: Child,
     stdout: Lines<BufReader<ChildStdout>>,
     endpoint: Endpoint,
 }
 
-impl Vehicle {
-    async fn start(config: &Path, flight: &Flight<'_>) -> Result<Self> {
+impl VehicleProcess {
+    async fn start(config: &Path, flight: &DemoFlight<'_>) -> Result<Self> {
         let program = std::env::current_exe().context("finding this program")?;
         let pace = match flight.pace {
             Pace::Lockstep => "lockstep",
@@ -93,7 +93,7 @@ fn vehicle_key(path: &Path) -> Result<PathBuf> {
 
 /// One flight to fly.
 #[derive(Debug, Clone, Copy)]
-pub struct Flight<'a> {
+pub struct DemoFlight<'a> {
     /// Who flies.
     pub controller: Controller,
     /// Where.
@@ -111,10 +111,10 @@ pub struct Flight<'a> {
 }
 
 /// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
-pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Option<Summary>> {
+pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path) -> Result<Option<Summary>> {
     let config = run::begin(dir, flight.scenario)?;
     let mut station = models.station(flight.controller, flight.scenario)?;
-    let vehicle = Vehicle::start(&config, flight).await?;
+    let vehicle = VehicleProcess::start(&config, flight).await?;
     let options = Options {
         ticks: Some(flight.scenario.horizon),
         tlog: Some(dir.join("flight.tlog")),
@@ -123,7 +123,7 @@ pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Opt
         ..Options::default()
     };
     let flown = flight::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;
-    if flown.ended != Ended::Over {
+    if flown.ended != FlightEnd::Over {
         return Ok(None);
     }
     if let Some(last) = &flown.last {

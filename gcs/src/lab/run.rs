@@ -13,7 +13,7 @@ use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
 use serde::Serialize;
 
-use crate::flight::{Ended, Flight};
+use crate::flight::{Flight, FlightEnd};
 use crate::lab::figures::FlightPath;
 use crate::station::Station;
 use crate::station::pilot::Controller;
@@ -73,8 +73,8 @@ impl Summary {
             latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
             real_time_factor: simulated / flight.wall.as_secs_f64(),
             frames_lost: flight.lost,
-            taken_over: flight.ended == Ended::TakenOver,
-            setpoints_held_back: flight.held_back,
+            taken_over: flight.ended == FlightEnd::TakenOver,
+            setpoints_held_back: flight.suppressed_setpoints,
         })
     }
 }
