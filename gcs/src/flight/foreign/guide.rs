@@ -448,7 +448,7 @@ impl Guide {
             self.scene = Some(Scene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
             self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
-            self.events.extend(self.system.map(GuideEvent::Held));
+            self.events.extend(self.system.map(GuideEvent::TakeControl));
             self.tick(place, now);
         }
     }
