@@ -28,7 +28,7 @@ use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::units::Tick;
 use tokio::time::{Instant, interval, sleep};
 
-use crate::flight::remote::{RemoteEvent, Remote};
+use crate::flight::remote::{Remote, RemoteEvent};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
@@ -306,7 +306,8 @@ impl<'a> FlightShell<'a> {
 
     async fn end(mut self, ended: FlightEnd) -> Result<Flight> {
         self.hub.close().await?;
-        let suppressed_setpoints = self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());
+        let suppressed_setpoints =
+            self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());
         let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
         let (packets, rejected_messages) = (self.hub.counts(), self.remote.rejected_messages());
         Ok(Flight { ended, packets, lost, suppressed_setpoints, rejected_messages, ..self.flight })

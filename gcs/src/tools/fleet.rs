@@ -192,7 +192,8 @@ impl Fleet {
         let armed = base_mode & ARMED != 0;
         let Some(known) = self.vehicles.get_mut(&id) else {
             let (autopilot, components) = (packet.component, [packet.component].into());
-            let vehicle = HeardVehicle { mode, armed, status, autopilot, components, heard: now, lost: false };
+            let vehicle =
+                HeardVehicle { mode, armed, status, autopilot, components, heard: now, lost: false };
             self.vehicles.insert(id, vehicle);
             return vec![News::Found(id, mode, armed)];
         };

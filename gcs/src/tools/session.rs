@@ -17,7 +17,7 @@ use crpl_sitl::program::terminal::interrupted;
 use tokio::time::{Instant, Interval, interval, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
-use crate::tools::command::{CommandRequest, CommandQueue, CommandResult};
+use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{Fleet, HeardVehicle, News};
 
 /// Heartbeats of every component, by the standard.

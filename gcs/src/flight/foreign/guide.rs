@@ -33,7 +33,7 @@ use crpl_sitl::radio::message::{Command, Percept};
 use super::Foreign;
 use super::scene::Scene;
 use super::tracking::{Tracker, hold_height};
-use crate::tools::command::{CommandRequest, CommandQueue, CommandResult};
+use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
 use crate::tools::session::push_heartbeat;
 
@@ -320,7 +320,13 @@ impl Guide {
         datagram
     }
 
-    fn answered(&mut self, ask: &CommandRequest, verdict: CommandResult, datagram: &mut Vec<u8>, now: Duration) {
+    fn answered(
+        &mut self,
+        ask: &CommandRequest,
+        verdict: CommandResult,
+        datagram: &mut Vec<u8>,
+        now: Duration,
+    ) {
         match ask.command {
             MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if verdict != CommandResult::Accepted => {
                 self.say(format!("message interval {verdict}: asking for data streams"));
@@ -372,11 +378,17 @@ impl Guide {
         match self.phase {
             GuidePhase::Waiting => {
                 self.ground = place.position;
-                let next = if self.foreign.stack == ForeignStack::Px4 { GuidePhase::Prestream } else { GuidePhase::Mode };
+                let next = if self.foreign.stack == ForeignStack::Px4 {
+                    GuidePhase::Prestream
+                } else {
+                    GuidePhase::Mode
+                };
                 self.enter(next, now);
             }
             // In wall time, as PX4's simulator counts it.
-            GuidePhase::Prestream if now.saturating_sub(self.since) >= PRESTREAM => self.enter(GuidePhase::Mode, now),
+            GuidePhase::Prestream if now.saturating_sub(self.since) >= PRESTREAM => {
+                self.enter(GuidePhase::Mode, now)
+            }
             GuidePhase::Mode => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.control_mode(), now),
             GuidePhase::Arm => self.ask_once(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0], now),
             GuidePhase::Climb => self.climb(&place, now),

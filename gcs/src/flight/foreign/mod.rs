@@ -25,11 +25,11 @@ use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};
 use tokio::time::{Instant, sleep_until};
 
-use crate::flight::{FlightEnd, Flight, Options};
+use crate::flight::{Flight, FlightEnd, Options};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
-use guide::{GuideEvent, Guide, ForeignStack};
+use guide::{ForeignStack, Guide, GuideEvent};
 
 /// Which vehicle, and how.
 #[derive(Debug, Clone, Copy)]
@@ -109,5 +109,11 @@ pub async fn fly(
 async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd) -> Result<Flight> {
     hub.close().await?;
     let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
-    Ok(Flight { ended, packets: hub.counts(), lost, suppressed_setpoints: hub.router().suppressed_setpoints(), ..flight })
+    Ok(Flight {
+        ended,
+        packets: hub.counts(),
+        lost,
+        suppressed_setpoints: hub.router().suppressed_setpoints(),
+        ..flight
+    })
 }

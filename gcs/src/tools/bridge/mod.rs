@@ -131,7 +131,10 @@ pub fn tell(notice: &Notice, hub: &Hub) {
             tracing::info!("{}: system {system} component {component}", hub.router().name(*link));
         }
         Notice::SetpointSuppressed(link) => {
-            tracing::warn!("{}: setpoints not forwarded: this flight controls the vehicle", hub.router().name(*link));
+            tracing::warn!(
+                "{}: setpoints not forwarded: this flight controls the vehicle",
+                hub.router().name(*link)
+            );
         }
         Notice::ModeChange(link) => {
             tracing::warn!("{}: the operator has changed the mode", hub.router().name(*link));

@@ -192,7 +192,7 @@ impl Router {
     }
 
     /// From now on only `by` sends setpoints to system `vehicle`; `None` ends that.
-    pub fn take_control(\&mut self, control: Option<(u8, LinkId)>) {
+    pub fn take_control(&mut self, control: Option<(u8, LinkId)>) {
         self.control = control;
         self.suppressed_setpoints = 0;
         self.mode_asked.clear();
