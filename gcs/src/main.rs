@@ -9,7 +9,8 @@ use crpl_gcs::flight::foreign::guide::ForeignStack;
 use crpl_gcs::flight::foreign::{self, Foreign};
 use crpl_gcs::flight::{self, Options};
 use crpl_gcs::lab::demo::{self, DemoFlight};
-use crpl_gcs::lab::run::{self, Summary};
+use crpl_gcs::lab::run_folder::RunFolder;
+use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{check, episodes, optimise, report};
 use crpl_gcs::station::models::ModelFiles;
@@ -187,10 +188,10 @@ async fn fly(args: Fly) -> Result<()> {
     let preset = if foreign.is_some() { "foreign" } else { "2" };
     let scenario = Scenario::named(args.scenario.as_deref().unwrap_or(preset))?;
     let mut station = args.models.load()?.station(args.controller, &scenario)?;
-    run::begin(&args.out, &scenario)?;
+    let folder = RunFolder::begin(&args.out, &scenario)?;
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
-        tlog: Some(args.out.join("flight.tlog")),
+        tlog: Some(folder.tlog()),
         signing_key: args.signing_key,
         forward: args.forward,
         ..Options::default()
@@ -208,7 +209,7 @@ async fn fly(args: Fly) -> Result<()> {
     }
     let summary = Summary::of(args.controller, None, &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(&args.out, &summary, station.records(), &scenario)?;
+    folder.finish(&summary, station.records(), &scenario)?;
     print_flights(std::slice::from_ref(&summary), args.json)?;
     if !args.json {
         println!("records, tlog and plot in {}", args.out.display());
@@ -220,7 +221,7 @@ fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
-        print!("{}", run::table(flights));
+        print!("{}", summary::table(flights));
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use crpl_gcs::flight::remote::{Remote, RemoteEvent};
 use crpl_gcs::lab;
-use crpl_gcs::lab::run;
+use crpl_gcs::lab::run_folder;
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::crpl::Crpl;
@@ -38,7 +38,7 @@ fn models() -> Models {
 fn bytes(station: &Station) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("record.jsonl");
-    run::write_records(&path, station.records()).unwrap();
+    run_folder::write_records(&path, station.records()).unwrap();
     std::fs::read_to_string(path).unwrap()
 }
 

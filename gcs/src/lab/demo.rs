@@ -17,7 +17,8 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
 use crate::flight::{self, FlightEnd, Options};
-use crate::lab::run::{self, Summary};
+use crate::lab::run_folder::RunFolder;
+use crate::lab::summary::Summary;
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -112,12 +113,12 @@ pub struct DemoFlight<'a> {
 
 /// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
 pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path) -> Result<Option<Summary>> {
-    let config = run::begin(dir, flight.scenario)?;
+    let folder = RunFolder::begin(dir, flight.scenario)?;
     let mut station = models.station(flight.controller, flight.scenario)?;
-    let vehicle = VehicleProcess::start(&config, flight).await?;
+    let vehicle = VehicleProcess::start(&folder.config(), flight).await?;
     let options = Options {
         ticks: Some(flight.scenario.horizon),
-        tlog: Some(dir.join("flight.tlog")),
+        tlog: Some(folder.tlog()),
         signing_key: flight.signing_key.map(Path::to_path_buf),
         forward: flight.forward.to_vec(),
         ..Options::default()
@@ -132,6 +133,6 @@ pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path) -> Result
     vehicle.end().await?;
     let summary = Summary::of(flight.controller, Some(flight.seed), &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(dir, &summary, station.records(), flight.scenario)?;
+    folder.finish(&summary, station.records(), flight.scenario)?;
     Ok(Some(summary))
 }
