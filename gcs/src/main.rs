@@ -5,11 +5,12 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
-use crpl_gcs::flight::foreign::guide::Stack;
+use crpl_gcs::flight::foreign::guide::ForeignStack;
 use crpl_gcs::flight::foreign::{self, Foreign};
 use crpl_gcs::flight::{self, Options};
-use crpl_gcs::lab::demo::{self, Flight};
-use crpl_gcs::lab::run::{self, Summary};
+use crpl_gcs::lab::demo::{self, DemoFlight};
+use crpl_gcs::lab::run_folder::RunFolder;
+use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{check, episodes, optimise, report};
 use crpl_gcs::station::models::ModelFiles;
@@ -24,13 +25,13 @@ use crpl_sitl::scenario::presets;
 /// A ground station that flies a UAV from camera frames over MAVLink: CRPL and its baselines.
 #[derive(Debug, Parser)]
 #[command(name = "gcs", version, max_term_width = 100)]
-struct Args {
+struct GcsArgs {
     #[command(subcommand)]
-    command: Command,
+    command: GcsCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum GcsCommand {
     /// Start a simulated vehicle and fly it with each controller, with equal gusts
     Demo(Demo),
     /// Fly an already running vehicle
@@ -108,7 +109,7 @@ struct Fly {
     connect: Endpoint,
     /// Kind of vehicle; a foreign autopilot is armed and takes off
     #[arg(long, value_enum, default_value = "sitl")]
-    vehicle: Vehicle,
+    vehicle: VehicleKind,
     /// System id of a foreign vehicle [default: the first one heard]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
@@ -138,7 +139,7 @@ struct Fly {
 
 /// The autopilot whose protocol a vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Vehicle {
+enum VehicleKind {
     /// The simulator of this project
     Sitl,
     /// ArduCopter, flown in GUIDED
@@ -147,12 +148,12 @@ enum Vehicle {
     Px4,
 }
 
-impl Vehicle {
-    fn foreign(self) -> Option<Stack> {
+impl VehicleKind {
+    fn foreign(self) -> Option<ForeignStack> {
         match self {
             Self::Sitl => None,
-            Self::Ardupilot => Some(Stack::Ardupilot),
-            Self::Px4 => Some(Stack::Px4),
+            Self::Ardupilot => Some(ForeignStack::Ardupilot),
+            Self::Px4 => Some(ForeignStack::Px4),
         }
     }
 }
@@ -162,7 +163,7 @@ async fn demo(args: Demo) -> Result<()> {
     let models = args.models.load()?;
     let mut flights = Vec::new();
     for controller in args.controller {
-        let flight = Flight {
+        let flight = DemoFlight {
             controller,
             scenario: &scenario,
             seed: args.seed,
@@ -187,10 +188,10 @@ async fn fly(args: Fly) -> Result<()> {
     let preset = if foreign.is_some() { "foreign" } else { "2" };
     let scenario = Scenario::named(args.scenario.as_deref().unwrap_or(preset))?;
     let mut station = args.models.load()?.station(args.controller, &scenario)?;
-    run::begin(&args.out, &scenario)?;
+    let folder = RunFolder::begin(&args.out, &scenario)?;
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
-        tlog: Some(args.out.join("flight.tlog")),
+        tlog: Some(folder.tlog()),
         signing_key: args.signing_key,
         forward: args.forward,
         ..Options::default()
@@ -208,7 +209,7 @@ async fn fly(args: Fly) -> Result<()> {
     }
     let summary = Summary::of(args.controller, None, &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(&args.out, &summary, station.records(), &scenario)?;
+    folder.finish(&summary, station.records(), &scenario)?;
     print_flights(std::slice::from_ref(&summary), args.json)?;
     if !args.json {
         println!("records, tlog and plot in {}", args.out.display());
@@ -220,25 +221,25 @@ fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
-        print!("{}", run::table(flights));
+        print!("{}", summary::table(flights));
     }
     Ok(())
 }
 
 fn main() -> ExitCode {
-    terminal::main(crpl_gcs::revision(), |args: Args| match args.command {
-        Command::Demo(args) => terminal::block_on(demo(args)),
-        Command::Fly(args) => terminal::block_on(fly(args)),
-        Command::Bridge(args) => terminal::block_on(bridge::run(args)),
-        Command::Param(args) => terminal::block_on(param::run(args)),
-        Command::Mission(args) => terminal::block_on(mission::run(args)),
-        Command::Replay(args) => terminal::block_on(replay::run(args)),
-        Command::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
-        Command::Episodes(args) => episodes::run(&args),
-        Command::Optimise(args) => optimise::run(&args),
-        Command::Check(args) => check::run(&args),
-        Command::Sweep(args) => sweep::run(&args),
-        Command::Merge(args) => merge::run(&args),
-        Command::Report(args) => report::run(&args),
+    terminal::main(crpl_gcs::revision(), |args: GcsArgs| match args.command {
+        GcsCommand::Demo(args) => terminal::block_on(demo(args)),
+        GcsCommand::Fly(args) => terminal::block_on(fly(args)),
+        GcsCommand::Bridge(args) => terminal::block_on(bridge::run(args)),
+        GcsCommand::Param(args) => terminal::block_on(param::run(args)),
+        GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
+        GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
+        GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
+        GcsCommand::Episodes(args) => episodes::run(&args),
+        GcsCommand::Optimise(args) => optimise::run(&args),
+        GcsCommand::Check(args) => check::run(&args),
+        GcsCommand::Sweep(args) => sweep::run(&args),
+        GcsCommand::Merge(args) => merge::run(&args),
+        GcsCommand::Report(args) => report::run(&args),
     })
 }

@@ -190,7 +190,7 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
     gcs.interrupt().unwrap();
     let printed = gcs.wait().unwrap().good().unwrap();
     assert!(printed.contains("the operator took over after"), "{printed}");
-    assert!(printed.contains("1 setpoints of others kept"), "{printed}");
+    assert!(printed.contains("1 setpoints of other stations not forwarded"), "{printed}");
     let run = std::fs::read_to_string(folder.path().join("run.json")).unwrap();
     let run: serde_json::Value = serde_json::from_str(&run).unwrap();
     assert_eq!(run["summary"]["taken_over"], true, "{run}");

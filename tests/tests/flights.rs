@@ -8,9 +8,9 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use crpl_gcs::flight::remote::{Event, Remote};
+use crpl_gcs::flight::remote::{Remote, RemoteEvent};
 use crpl_gcs::lab;
-use crpl_gcs::lab::run;
+use crpl_gcs::lab::run_folder;
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::crpl::Crpl;
@@ -38,7 +38,7 @@ fn models() -> Models {
 fn bytes(station: &Station) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("record.jsonl");
-    run::write_records(&path, station.records()).unwrap();
+    run_folder::write_records(&path, station.records()).unwrap();
     std::fs::read_to_string(path).unwrap()
 }
 
@@ -66,7 +66,7 @@ fn through_bytes(controller: Controller) -> Station {
         }
         while let Some((_, datagram)) = vehicle.poll() {
             for event in remote.datagram(&datagram, now) {
-                let Event::Percept(percept) = event else { continue };
+                let RemoteEvent::Percept(percept) = event else { continue };
                 if percept.telemetry.tick.0 == scenario.horizon {
                     station.finish(&percept);
                     down.push_back(remote.acknowledgement(percept.telemetry.tick));

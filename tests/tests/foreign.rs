@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use crpl_gcs::flight::foreign::Foreign;
-use crpl_gcs::flight::foreign::guide::{self, Event, Guide};
+use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
@@ -15,8 +15,10 @@ use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
 use tests::program::{self, Program};
 
-const STACKS: [(Stack, guide::Stack, &str); 2] =
-    [(Stack::ArduPilot, guide::Stack::Ardupilot, "ardupilot"), (Stack::Px4, guide::Stack::Px4, "px4")];
+const STACKS: [(Stack, guide::ForeignStack, &str); 2] = [
+    (Stack::ArduPilot, guide::ForeignStack::Ardupilot, "ardupilot"),
+    (Stack::Px4, guide::ForeignStack::Px4, "px4"),
+];
 
 const CONFIG: &str = "configs/foreign.toml";
 
@@ -29,11 +31,11 @@ struct Story {
     autopilot: Autopilot,
     station: Station,
     said: Vec<String>,
-    end: Event,
+    end: GuideEvent,
     setpoints_per_s: f64,
 }
 
-fn story(stacks: (Stack, guide::Stack), mut meddle: impl FnMut(f64, &mut Autopilot, &Guide)) -> Story {
+fn story(stacks: (Stack, guide::ForeignStack), mut meddle: impl FnMut(f64, &mut Autopilot, &Guide)) -> Story {
     let scenario = scenario();
     let models = Models::load(None, None).unwrap();
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
@@ -51,14 +53,14 @@ fn story(stacks: (Stack, guide::Stack), mut meddle: impl FnMut(f64, &mut Autopil
         autopilot.datagram(&guide.poll(now));
         while let Some(event) = guide.take() {
             match event {
-                Event::Say(text) => said.push(text),
-                Event::Held(_) => {}
-                Event::Percept(percept) => {
+                GuideEvent::Say(text) => said.push(text),
+                GuideEvent::TakeControl(_) => {}
+                GuideEvent::Percept(percept) => {
                     flying.get_or_insert(now);
                     let command = station.handle(&percept);
                     autopilot.datagram(&guide.fly(&command, now));
                 }
-                Event::Over(percept) => station.finish(&percept),
+                GuideEvent::Over(percept) => station.finish(&percept),
                 end => {
                     let flown = flying.map_or(f64::INFINITY, |from| (now - from).as_secs_f64());
                     let setpoints_per_s = autopilot.accelerations as f64 / flown;
@@ -74,7 +76,7 @@ fn story(stacks: (Stack, guide::Stack), mut meddle: impl FnMut(f64, &mut Autopil
 fn crpl_reaches_its_goal_on_both() {
     for (fake, stack, name) in STACKS {
         let story = story((fake, stack), |_, _, _| {});
-        assert!(matches!(story.end, Event::Holding), "{name}: {:?} {:?}", story.end, story.said);
+        assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?} {:?}", story.end, story.said);
         let score = story.station.score().unwrap();
         assert!(score.is(FlightOutcome::Reached), "{name}: {score:?}");
         assert!(score[Metric::CollisionProbability] < 0.2, "{name}: {score:?}");
@@ -91,7 +93,7 @@ fn crpl_reaches_its_goal_on_both() {
 
 #[test]
 fn what_the_autopilots_refuse_is_asked_again_and_told() {
-    let said = story((Stack::ArduPilot, guide::Stack::Ardupilot), |_, _, _| {}).said.join("\n");
+    let said = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, _, _| {}).said.join("\n");
     assert!(said.contains("vehicle 1 found: ArduPilot, STABILIZE, disarmed"), "{said}");
     assert!(said.contains("arming failed: Arm: Accels calibrating"), "{said}");
 }
@@ -111,7 +113,7 @@ fn a_pilot_s_hand_ends_the_setpoints() {
                 after.get_or_insert(autopilot.accelerations);
             }
         });
-        let Event::TakenOver(why) = &story.end else { panic!("{name}: {:?}", story.end) };
+        let GuideEvent::TakenOver(why) = &story.end else { panic!("{name}: {:?}", story.end) };
         assert!(why.contains(word), "{name}: {why}");
         assert_eq!(after.unwrap_or(story.autopilot.accelerations), story.autopilot.accelerations, "{name}");
     }
@@ -119,8 +121,8 @@ fn a_pilot_s_hand_ends_the_setpoints() {
 
 #[test]
 fn the_wrong_stack_is_told() {
-    let story = story((Stack::Px4, guide::Stack::Ardupilot), |_, _, _| {});
-    let Event::Failed(why) = &story.end else { panic!("{:?}", story.end) };
+    let story = story((Stack::Px4, guide::ForeignStack::Ardupilot), |_, _, _| {});
+    let GuideEvent::Failed(why) = &story.end else { panic!("{:?}", story.end) };
     assert_eq!(why, "vehicle 1 found: PX4, LOITER, disarmed, and not what --vehicle ardupilot flies");
 }
 

@@ -7,7 +7,7 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use crpl_gcs::flight::{Ended, Options, fly};
+use crpl_gcs::flight::{FlightEnd, Options, fly};
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::TxPower;
@@ -85,7 +85,7 @@ async fn over_udp(address: SocketAddr, tlog: Option<PathBuf>) -> Vec<String> {
         command
     });
     let flight = flight.await.expect("a flight to its end");
-    assert_eq!(flight.ended, Ended::Over);
+    assert_eq!(flight.ended, FlightEnd::Over);
     percepts.extend(flight.last);
     lines(&percepts, &commands, &scenario)
 }

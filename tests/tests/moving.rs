@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crpl_gcs::lab::run;
+use crpl_gcs::lab::run_folder;
 use crpl_gcs::lab::{self, Contender};
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
@@ -88,7 +88,7 @@ fn over_udp_as_in_process(config: &Path, controller: Controller, obstacles: usiz
     let (ticks, folder) = (30, tempfile::tempdir().unwrap());
     lab::fly(&mut Sim::new(scenario, 5), &mut station, ticks);
     let here = folder.path().join("here.jsonl");
-    run::write_records(&here, station.records()).unwrap();
+    run_folder::write_records(&here, station.records()).unwrap();
 
     let (config, out, controller) =
         (config.to_str().unwrap(), folder.path().join("run"), controller.to_string());

@@ -4,9 +4,9 @@
 //! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
 //! away. Knows no controller: the station is a function.
 //!
-//! Others may watch through the same program ([`Options::forward`]). While it flies, their setpoints
-//! for the vehicle stay here; an operator's change of mode passes, and once the vehicle has taken it
-//! the station sends no more: it says so and goes on passing messages to and fro.
+//! Other stations may watch through the same program ([`Options::forward`]). During the flight their
+//! setpoints are not forwarded. An operator's change of mode is; once the vehicle has accepted it, the station
+//! stops its setpoints, reports that, and goes on forwarding messages.
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
 
@@ -28,7 +28,7 @@ use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::units::Tick;
 use tokio::time::{Instant, interval, sleep};
 
-use crate::flight::remote::{Event, Remote};
+use crate::flight::remote::{Remote, RemoteEvent};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
@@ -89,7 +89,7 @@ impl Options {
 
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Ended {
+pub enum FlightEnd {
     /// After its last tick.
     #[default]
     Over,
@@ -103,7 +103,7 @@ pub enum Ended {
 #[derive(Debug, Clone, Default)]
 pub struct Flight {
     /// Why it has ended.
-    pub ended: Ended,
+    pub ended: FlightEnd,
     /// The newest percept. After `ticks` it closes the last interval; the station has not been
     /// asked for a command to it.
     pub last: Option<Percept>,
@@ -117,10 +117,10 @@ pub struct Flight {
     pub packets: Counts,
     /// Frames of the vehicle that never came.
     pub lost: u64,
-    /// Setpoints of others that were kept from the vehicle.
-    pub held_back: u64,
-    /// Reports and pictures that did not fit.
-    pub misfits: u64,
+    /// Setpoints of other stations that were not forwarded to the vehicle.
+    pub suppressed_setpoints: u64,
+    /// Reports and frames that were rejected.
+    pub rejected_messages: u64,
 }
 
 /// Flies `station`, which is asked once for each percept, in the order of ticks.
@@ -130,7 +130,7 @@ pub async fn fly(
     options: &Options,
     mut station: impl FnMut(&Percept) -> Command,
 ) -> Result<Flight> {
-    let mut shell = Shell::open(connect, scenario, options).await?;
+    let mut shell = FlightShell::open(connect, scenario, options).await?;
     let mut beat = interval(HEARTBEAT);
     let mut resend = Backoff::default();
     let mut interrupted = pin!(interrupted());
@@ -143,7 +143,7 @@ pub async fn fly(
                 resend.lengthen();
             }
             _ = beat.tick() => shell.beat().await?,
-            () = &mut interrupted => return shell.end(Ended::Interrupted).await,
+            () = &mut interrupted => return shell.end(FlightEnd::Interrupted).await,
         }
         for notice in shell.hub.notices() {
             tell(&notice, &shell.hub);
@@ -155,7 +155,7 @@ pub async fn fly(
         while let Some(datagram) = shell.hub.take() {
             for event in shell.datagram(&datagram) {
                 match event {
-                    Event::Percept(percept) => {
+                    RemoteEvent::Percept(percept) => {
                         shell.percept(&percept, arrived);
                         if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
                             return shell.over(percept).await;
@@ -166,13 +166,13 @@ pub async fn fly(
                         shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
                         resend = Backoff::default();
                     }
-                    Event::Repeat(_) => {
+                    RemoteEvent::Repeat(_) => {
                         shell.flight.repeats += 1;
                         shell.repeat().await?;
                     }
-                    Event::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
-                    Event::News(news) => news.log(),
-                    Event::LeftGuided(mode) => {
+                    RemoteEvent::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    RemoteEvent::News(news) => news.log(),
+                    RemoteEvent::LeftGuided(mode) => {
                         return shell.taken_over(&format!("vehicle is in {mode}")).await;
                     }
                 }
@@ -182,7 +182,7 @@ pub async fn fly(
 }
 
 /// Sockets and protocol of a flight.
-struct Shell<'a> {
+struct FlightShell<'a> {
     connect: &'a Endpoint,
     options: &'a Options,
     hub: Hub,
@@ -193,7 +193,7 @@ struct Shell<'a> {
     flight: Flight,
 }
 
-impl<'a> Shell<'a> {
+impl<'a> FlightShell<'a> {
     async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
         Ok(Self {
             connect,
@@ -219,8 +219,8 @@ impl<'a> Shell<'a> {
             (None, _) => bail!("{connect}: no MAVLink vehicle heard for {seconds} s; is sitl running there?"),
             (Some(system), None) => bail!(
                 "{connect}: vehicle {system} talks, but no report with a picture came for {seconds} s \
-                 ({} did not fit: is its control interval {} s?)",
-                self.remote.misfits(),
+                 ({} were rejected: is its control interval {} s?)",
+                self.remote.rejected_messages(),
                 self.interval_s
             ),
             (Some(system), Some(tick)) if self.remote.is_lost() => {
@@ -235,11 +235,11 @@ impl<'a> Shell<'a> {
         }
     }
 
-    fn datagram(&mut self, bytes: &[u8]) -> Vec<Event> {
+    fn datagram(&mut self, bytes: &[u8]) -> Vec<RemoteEvent> {
         let known = self.remote.system();
         let events = self.remote.datagram(bytes, self.hub.elapsed());
         if known.is_none() && self.remote.system().is_some() {
-            self.hub.hold(self.remote.system());
+            self.hub.take_control(self.remote.system());
         }
         events
     }
@@ -276,14 +276,14 @@ impl<'a> Shell<'a> {
             self.hub.send(&datagram).await?;
         }
         self.flight.last = Some(percept);
-        self.end(Ended::Over).await
+        self.end(FlightEnd::Over).await
     }
 
     /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
     /// this program, goes on passing their messages to and fro, until Ctrl-C or the link is lost.
     async fn taken_over(mut self, why: &str) -> Result<Flight> {
-        self.flight.held_back = self.hub.router().held_back();
-        self.hub.hold(None);
+        self.flight.suppressed_setpoints = self.hub.router().suppressed_setpoints();
+        self.hub.take_control(None);
         tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
         let said =
             self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
@@ -301,15 +301,16 @@ impl<'a> Shell<'a> {
             }
             self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         }
-        self.end(Ended::TakenOver).await
+        self.end(FlightEnd::TakenOver).await
     }
 
-    async fn end(mut self, ended: Ended) -> Result<Flight> {
+    async fn end(mut self, ended: FlightEnd) -> Result<Flight> {
         self.hub.close().await?;
-        let held_back = self.flight.held_back.max(self.hub.router().held_back());
+        let suppressed_setpoints =
+            self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());
         let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
-        let (packets, misfits) = (self.hub.counts(), self.remote.misfits());
-        Ok(Flight { ended, packets, lost, held_back, misfits, ..self.flight })
+        let (packets, rejected_messages) = (self.hub.counts(), self.remote.rejected_messages());
+        Ok(Flight { ended, packets, lost, suppressed_setpoints, rejected_messages, ..self.flight })
     }
 }
 
@@ -354,7 +355,7 @@ mod tests {
         let address = socket.local_addr().unwrap();
         let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
         tokio::spawn(async move {
-            let mut shell = crpl_sitl::program::shell::Shell::new(socket, vehicle, None);
+            let mut shell = crpl_sitl::program::shell::FlightShell::new(socket, vehicle, None);
             if lockstep { shell.lockstep().await } else { shell.real_time(Duration::from_millis(10)).await }
         });
         address
@@ -403,9 +404,9 @@ mod tests {
     async fn lockstep_over_udp_is_the_flight_in_process() {
         let (percepts, flight) = flown(vehicle(true).await, &options()).await;
         assert_eq!(percepts, direct());
-        assert_eq!(flight.ended, Ended::Over);
+        assert_eq!(flight.ended, FlightEnd::Over);
         assert_eq!(flight.latencies_us.len(), TICKS as usize);
-        assert_eq!(flight.misfits, 0);
+        assert_eq!(flight.rejected_messages, 0);
     }
 
     #[tokio::test]

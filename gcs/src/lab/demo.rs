@@ -16,8 +16,9 @@ use tokio::io::{AsyncBufReadExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
-use crate::flight::{self, Ended, Options};
-use crate::lab::run::{self, Summary};
+use crate::flight::{self, FlightEnd, Options};
+use crate::lab::run_folder::RunFolder;
+use crate::lab::summary::Summary;
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -25,14 +26,14 @@ use crate::station::pilot::Controller;
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A `sitl` process that ends with us.
-struct Vehicle {
+struct VehicleProcess {
     child: Child,
     stdout: Lines<BufReader<ChildStdout>>,
     endpoint: Endpoint,
 }
 
-impl Vehicle {
-    async fn start(config: &Path, flight: &Flight<'_>) -> Result<Self> {
+impl VehicleProcess {
+    async fn start(config: &Path, flight: &DemoFlight<'_>) -> Result<Self> {
         let program = std::env::current_exe().context("finding this program")?;
         let pace = match flight.pace {
             Pace::Lockstep => "lockstep",
@@ -93,7 +94,7 @@ fn vehicle_key(path: &Path) -> Result<PathBuf> {
 
 /// One flight to fly.
 #[derive(Debug, Clone, Copy)]
-pub struct Flight<'a> {
+pub struct DemoFlight<'a> {
     /// Who flies.
     pub controller: Controller,
     /// Where.
@@ -111,19 +112,19 @@ pub struct Flight<'a> {
 }
 
 /// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
-pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Option<Summary>> {
-    let config = run::begin(dir, flight.scenario)?;
+pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path) -> Result<Option<Summary>> {
+    let folder = RunFolder::begin(dir, flight.scenario)?;
     let mut station = models.station(flight.controller, flight.scenario)?;
-    let vehicle = Vehicle::start(&config, flight).await?;
+    let vehicle = VehicleProcess::start(&folder.config(), flight).await?;
     let options = Options {
         ticks: Some(flight.scenario.horizon),
-        tlog: Some(dir.join("flight.tlog")),
+        tlog: Some(folder.tlog()),
         signing_key: flight.signing_key.map(Path::to_path_buf),
         forward: flight.forward.to_vec(),
         ..Options::default()
     };
     let flown = flight::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;
-    if flown.ended != Ended::Over {
+    if flown.ended != FlightEnd::Over {
         return Ok(None);
     }
     if let Some(last) = &flown.last {
@@ -132,6 +133,6 @@ pub async fn fly(models: &Models, flight: &Flight<'_>, dir: &Path) -> Result<Opt
     vehicle.end().await?;
     let summary = Summary::of(flight.controller, Some(flight.seed), &station, &flown)
         .context("the flight ended before its first interval")?;
-    run::end(dir, &summary, station.records(), flight.scenario)?;
+    folder.finish(&summary, station.records(), flight.scenario)?;
     Ok(Some(summary))
 }

@@ -7,7 +7,8 @@ pub mod figures;
 pub mod optimise;
 pub mod parquet;
 pub mod report;
-pub mod run;
+pub mod run_folder;
+pub mod summary;
 pub mod sweep;
 
 use std::sync::Arc;

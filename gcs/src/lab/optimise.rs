@@ -65,7 +65,7 @@ struct Saved {
 
 /// What stands beside the policies.
 #[derive(Debug, Serialize)]
-struct Sheet<'a> {
+struct PolicyManifest<'a> {
     scenario: &'a Scenario,
     seed: u64,
     revision: &'static str,
@@ -115,7 +115,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         &args.out,
         &kept,
         &policies,
-        &Sheet {
+        &PolicyManifest {
             scenario: &scenario,
             seed: args.seed,
             revision: crate::revision(),
@@ -210,10 +210,10 @@ fn read_progress(path: &Path, run: &mut Saved) -> Result<Option<OptimiseProgress
     Ok(progress)
 }
 
-fn write(out: &Path, name: &str, policies: &Policies, sheet: &Sheet<'_>) -> Result<()> {
+fn write(out: &Path, name: &str, policies: &Policies, manifest: &PolicyManifest<'_>) -> Result<()> {
     policies.save(&out.join(format!("{name}.safetensors")))?;
     let path = out.join(format!("{name}.json"));
-    let text = serde_json::to_string_pretty(sheet)? + "\n";
+    let text = serde_json::to_string_pretty(manifest)? + "\n";
     std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
 }
 

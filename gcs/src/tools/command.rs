@@ -1,4 +1,4 @@
-//! COMMAND_LONG as the standard wants it asked: sent again until answered, with a rising
+//! COMMAND_LONG as the standard has it: sent again until answered, with a rising
 //! confirmation, one at a time for each command and target. No socket, no clock.
 //!
 //! An answer counts if it names the command, comes from the target, and is for us or for nobody in
@@ -24,7 +24,7 @@ const PROGRESS: Duration = Duration::from_secs(30);
 
 /// A command for a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ask {
+pub struct CommandRequest {
     /// What.
     pub command: MavCmd,
     /// param1 to param7.
@@ -33,7 +33,7 @@ pub struct Ask {
     pub target: (u8, u8),
 }
 
-impl Ask {
+impl CommandRequest {
     /// A command whose remaining params are 0.
     #[must_use]
     pub fn new<const N: usize>(command: MavCmd, params: [f32; N], target: (u8, u8)) -> Self {
@@ -64,9 +64,9 @@ impl Ask {
     }
 }
 
-/// What came of a command.
+/// The vehicle's answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum CommandResult {
     /// MAV_RESULT_ACCEPTED.
     Accepted,
     /// Another MAV_RESULT.
@@ -75,7 +75,7 @@ pub enum Verdict {
     Unanswered,
 }
 
-impl std::fmt::Display for Verdict {
+impl std::fmt::Display for CommandResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Accepted => "accepted",
@@ -95,7 +95,7 @@ impl std::fmt::Display for Verdict {
 
 #[derive(Debug, Clone)]
 struct Pending {
-    ask: Ask,
+    request: CommandRequest,
     sent: u8,
     due: Duration,
     in_progress: bool,
@@ -103,19 +103,19 @@ struct Pending {
 
 /// The commands under way.
 #[derive(Debug, Clone, Default)]
-pub struct Commander {
+pub struct CommandQueue {
     pending: Vec<Pending>,
-    waiting: VecDeque<Ask>,
-    done: VecDeque<(Ask, Verdict)>,
+    waiting: VecDeque<CommandRequest>,
+    done: VecDeque<(CommandRequest, CommandResult)>,
 }
 
-impl Commander {
-    /// Asks; behind an equal command to the same target, if one is under way.
-    pub fn ask(&mut self, ask: Ask, now: Duration) {
-        if self.pending.iter().any(|p| p.ask.excludes(&ask)) {
-            self.waiting.push_back(ask);
+impl CommandQueue {
+    /// Sends; behind an equal command to the same target, if one is under way.
+    pub fn request(&mut self, request: CommandRequest, now: Duration) {
+        if self.pending.iter().any(|p| p.request.excludes(&request)) {
+            self.waiting.push_back(request);
         } else {
-            self.pending.push(Pending { ask, sent: 0, due: now, in_progress: false });
+            self.pending.push(Pending { request, sent: 0, due: now, in_progress: false });
         }
     }
 
@@ -127,19 +127,19 @@ impl Commander {
                 continue;
             }
             if pending.in_progress || pending.sent == ATTEMPTS {
-                expired.push(pending.ask);
+                expired.push(pending.request);
                 continue;
             }
-            station.push(datagram, &pending.ask.message(pending.sent));
+            station.push(datagram, &pending.request.message(pending.sent));
             pending.sent += 1;
             pending.due = now + RETRY;
         }
-        for ask in expired {
-            self.close(ask, Verdict::Unanswered, now);
+        for request in expired {
+            self.close(request, CommandResult::Unanswered, now);
         }
     }
 
-    /// When [`Commander::poll`] has something to do next.
+    /// When [`CommandQueue::poll`] has something to do next.
     #[must_use]
     pub fn due(&self) -> Option<Duration> {
         self.pending.iter().map(|pending| pending.due).min()
@@ -153,8 +153,8 @@ impl Commander {
         let Some(CommandAck { command, result, target, .. }) = CommandAck::of(packet) else { return };
         let ours = target.is(STATION_SYSTEM, STATION_COMPONENT);
         let answered = |p: &&mut Pending| {
-            let (system, component) = p.ask.target;
-            p.ask.command as u32 == u32::from(command)
+            let (system, component) = p.request.target;
+            p.request.command as u32 == u32::from(command)
                 && system == packet.system
                 && (component == 0 || component == packet.component)
                 && p.sent > 0
@@ -167,32 +167,35 @@ impl Commander {
             }
             TEMPORARILY_REJECTED if pending.in_progress => {}
             _ => {
-                let verdict = if result == ACCEPTED { Verdict::Accepted } else { Verdict::Refused(result) };
-                let ask = pending.ask;
-                self.close(ask, verdict, now);
+                let result = match result {
+                    ACCEPTED => CommandResult::Accepted,
+                    other => CommandResult::Refused(other),
+                };
+                let request = pending.request;
+                self.close(request, result, now);
             }
         }
     }
 
-    fn close(&mut self, ask: Ask, verdict: Verdict, now: Duration) {
-        self.pending.retain(|pending| pending.ask != ask);
-        self.done.push_back((ask, verdict));
-        if let Some(next) = self.waiting.iter().position(|waiting| waiting.excludes(&ask))
+    fn close(&mut self, request: CommandRequest, result: CommandResult, now: Duration) {
+        self.pending.retain(|pending| pending.request != request);
+        self.done.push_back((request, result));
+        if let Some(next) = self.waiting.iter().position(|waiting| waiting.excludes(&request))
             && let Some(next) = self.waiting.remove(next)
         {
-            self.ask(next, now);
+            self.request(next, now);
         }
     }
 
     /// The next command that is over.
-    pub fn take(&mut self) -> Option<(Ask, Verdict)> {
+    pub fn take(&mut self) -> Option<(CommandRequest, CommandResult)> {
         self.done.pop_front()
     }
 
     /// Whether a command of this kind is under way or waits.
     #[must_use]
     pub fn busy(&self, command: MavCmd) -> bool {
-        self.pending.iter().map(|p| &p.ask).chain(&self.waiting).any(|ask| ask.command == command)
+        self.pending.iter().map(|p| &p.request).chain(&self.waiting).any(|request| request.command == command)
     }
 }
 
@@ -204,7 +207,7 @@ mod tests {
 
     use super::*;
 
-    const MODE: Ask = Ask {
+    const MODE: CommandRequest = CommandRequest {
         command: MavCmd::MAV_CMD_DO_SET_MODE,
         params: [1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         target: (3, 1),
@@ -214,10 +217,10 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// What a commander sends at `now`: command and confirmation of each.
-    fn sent(commander: &mut Commander, now: Duration) -> Vec<(u16, u8)> {
+    /// What the queue sends at `now`: command and confirmation of each.
+    fn sent(queue: &mut CommandQueue, now: Duration) -> Vec<(u16, u8)> {
         let mut datagram = Vec::new();
-        commander.poll(now, &mut Encoder::new(255, 190), &mut datagram);
+        queue.poll(now, &mut Encoder::new(255, 190), &mut datagram);
         let packets = Decoder::default().datagram(&datagram);
         let asks = packets.iter().filter_map(CommandLong::of);
         asks.map(|ask| (ask.command, ask.confirmation)).collect()
@@ -234,24 +237,24 @@ mod tests {
 
     #[test]
     fn an_unanswered_command_is_sent_five_times_with_rising_confirmation() {
-        let mut commander = Commander::default();
-        commander.ask(MODE, at(0));
+        let mut queue = CommandQueue::default();
+        queue.request(MODE, at(0));
         for k in 0..5 {
-            assert_eq!(sent(&mut commander, at(700 * k)), [(176, k as u8)]);
-            assert_eq!(sent(&mut commander, at(700 * k + 699)), []);
+            assert_eq!(sent(&mut queue, at(700 * k)), [(176, k as u8)]);
+            assert_eq!(sent(&mut queue, at(700 * k + 699)), []);
         }
         assert_eq!(
-            (sent(&mut commander, at(3500)), commander.take()),
-            (vec![], Some((MODE, Verdict::Unanswered)))
+            (sent(&mut queue, at(3500)), queue.take()),
+            (vec![], Some((MODE, CommandResult::Unanswered)))
         );
-        assert_eq!(commander.due(), None);
+        assert_eq!(queue.due(), None);
     }
 
     #[test]
     fn only_the_target_s_own_answer_to_us_counts() {
-        let mut commander = Commander::default();
-        commander.ask(MODE, at(0));
-        sent(&mut commander, at(0));
+        let mut queue = CommandQueue::default();
+        queue.request(MODE, at(0));
+        sent(&mut queue, at(0));
         for wrong in [
             ack((2, 1), 176, OK, US),
             ack((3, 68), 176, OK, US),
@@ -259,49 +262,49 @@ mod tests {
             ack((3, 1), 176, OK, (254, 190)),
             ack((3, 1), 176, OK, (255, 1)),
         ] {
-            commander.packet(&wrong, at(1));
-            assert_eq!(commander.take(), None, "{wrong:?}");
+            queue.packet(&wrong, at(1));
+            assert_eq!(queue.take(), None, "{wrong:?}");
         }
-        commander.packet(&ack((3, 1), 176, OK, (0, 0)), at(2));
-        assert_eq!(commander.take(), Some((MODE, Verdict::Accepted)));
-        commander.packet(&ack((3, 1), 176, OK, US), at(3));
-        assert_eq!(commander.take(), None, "a second answer is none");
+        queue.packet(&ack((3, 1), 176, OK, (0, 0)), at(2));
+        assert_eq!(queue.take(), Some((MODE, CommandResult::Accepted)));
+        queue.packet(&ack((3, 1), 176, OK, US), at(3));
+        assert_eq!(queue.take(), None, "a second answer is none");
     }
 
     #[test]
     fn one_is_under_way_for_each_command_and_target() {
-        let mut commander = Commander::default();
-        let other = Ask { target: (4, 1), ..MODE };
-        for ask in [MODE, MODE, other] {
-            commander.ask(ask, at(0));
+        let mut queue = CommandQueue::default();
+        let other = CommandRequest { target: (4, 1), ..MODE };
+        for request in [MODE, MODE, other] {
+            queue.request(request, at(0));
         }
-        assert_eq!(sent(&mut commander, at(0)).len(), 2);
-        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_DENIED, US), at(5));
-        assert_eq!(commander.take(), Some((MODE, Verdict::Refused(2))));
-        assert_eq!(sent(&mut commander, at(5)), [(176, 0)], "the next begins anew");
-        assert!(commander.busy(MavCmd::MAV_CMD_DO_SET_MODE));
+        assert_eq!(sent(&mut queue, at(0)).len(), 2);
+        queue.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_DENIED, US), at(5));
+        assert_eq!(queue.take(), Some((MODE, CommandResult::Refused(2))));
+        assert_eq!(sent(&mut queue, at(5)), [(176, 0)], "the next one starts at confirmation 0");
+        assert!(queue.busy(MavCmd::MAV_CMD_DO_SET_MODE));
     }
 
     #[test]
     fn progress_stops_the_repeats_and_a_late_rejection_of_one_is_no_answer() {
-        let mut commander = Commander::default();
-        commander.ask(MODE, at(0));
-        sent(&mut commander, at(0));
-        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
-        assert_eq!(sent(&mut commander, at(5000)), []);
-        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED, US), at(5000));
-        assert_eq!(commander.take(), None);
-        commander.packet(&ack((3, 1), 176, OK, US), at(6000));
-        assert_eq!(commander.take(), Some((MODE, Verdict::Accepted)));
+        let mut queue = CommandQueue::default();
+        queue.request(MODE, at(0));
+        sent(&mut queue, at(0));
+        queue.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
+        assert_eq!(sent(&mut queue, at(5000)), []);
+        queue.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED, US), at(5000));
+        assert_eq!(queue.take(), None);
+        queue.packet(&ack((3, 1), 176, OK, US), at(6000));
+        assert_eq!(queue.take(), Some((MODE, CommandResult::Accepted)));
     }
 
     #[test]
     fn a_vehicle_that_stays_in_progress_is_given_up() {
-        let mut commander = Commander::default();
-        commander.ask(MODE, at(0));
-        sent(&mut commander, at(0));
-        commander.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
-        assert_eq!(sent(&mut commander, at(10) + PROGRESS), []);
-        assert_eq!(commander.take(), Some((MODE, Verdict::Unanswered)));
+        let mut queue = CommandQueue::default();
+        queue.request(MODE, at(0));
+        sent(&mut queue, at(0));
+        queue.packet(&ack((3, 1), 176, MavResult::MAV_RESULT_IN_PROGRESS, US), at(10));
+        assert_eq!(sent(&mut queue, at(10) + PROGRESS), []);
+        assert_eq!(queue.take(), Some((MODE, CommandResult::Unanswered)));
     }
 }

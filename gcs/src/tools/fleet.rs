@@ -38,14 +38,14 @@ impl Stack {
 
 /// A vehicle's mode in its own stack's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Mode {
+pub struct FlightMode {
     /// Whose numbers.
     pub stack: Stack,
     /// HEARTBEAT.custom_mode.
     pub custom: u32,
 }
 
-impl Mode {
+impl FlightMode {
     /// ArduCopter's GUIDED.
     pub const GUIDED: u32 = 4;
     /// PX4's OFFBOARD: main mode 6 in the third byte.
@@ -58,7 +58,7 @@ impl Mode {
     }
 }
 
-impl fmt::Display for Mode {
+impl fmt::Display for FlightMode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = if self.stack == Stack::Px4 {
             match (self.custom >> 16 & 0xFF, self.custom >> 24) {
@@ -94,9 +94,9 @@ impl fmt::Display for Mode {
 
 /// A vehicle as its heartbeats tell it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Vehicle {
+pub struct HeardVehicle {
     /// Of its autopilot.
-    pub mode: Mode,
+    pub mode: FlightMode,
     /// Whether its motors may turn.
     pub armed: bool,
     /// MAV_STATE.
@@ -113,13 +113,13 @@ pub struct Vehicle {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum News {
     /// A vehicle's first heartbeat.
-    Found(u8, Mode, bool),
+    Found(u8, FlightMode, bool),
     /// Five heartbeats are missing.
     Lost(u8),
     /// It is back after this time.
     Regained(u8, Duration),
     /// It has changed its mode, from and to.
-    Mode(u8, Mode, Mode),
+    Mode(u8, FlightMode, FlightMode),
     /// It was armed or disarmed.
     Armed(u8, bool),
 }
@@ -161,7 +161,7 @@ impl News {
 /// All vehicles on a link.
 #[derive(Debug, Clone)]
 pub struct Fleet {
-    vehicles: BTreeMap<u8, Vehicle>,
+    vehicles: BTreeMap<u8, HeardVehicle>,
     lost_after: Duration,
 }
 
@@ -188,11 +188,12 @@ impl Fleet {
             return Vec::new();
         };
         let (id, mut news) = (packet.system, Vec::new());
-        let mode = Mode { stack: Stack::of(autopilot), custom: custom_mode };
+        let mode = FlightMode { stack: Stack::of(autopilot), custom: custom_mode };
         let armed = base_mode & ARMED != 0;
         let Some(known) = self.vehicles.get_mut(&id) else {
             let (autopilot, components) = (packet.component, [packet.component].into());
-            let vehicle = Vehicle { mode, armed, status, autopilot, components, heard: now, lost: false };
+            let vehicle =
+                HeardVehicle { mode, armed, status, autopilot, components, heard: now, lost: false };
             self.vehicles.insert(id, vehicle);
             return vec![News::Found(id, mode, armed)];
         };
@@ -209,7 +210,7 @@ impl Fleet {
         if known.armed != armed {
             news.push(News::Armed(id, armed));
         }
-        *known = Vehicle { mode, armed, status, heard: now, lost: false, ..known.clone() };
+        *known = HeardVehicle { mode, armed, status, heard: now, lost: false, ..known.clone() };
         news
     }
 
@@ -227,7 +228,7 @@ impl Fleet {
 
     /// A vehicle.
     #[must_use]
-    pub fn get(&self, system: u8) -> Option<&Vehicle> {
+    pub fn get(&self, system: u8) -> Option<&HeardVehicle> {
         self.vehicles.get(&system)
     }
 
@@ -305,7 +306,7 @@ mod tests {
         fleet.packet(&beat(255, 190, MavAutopilot::MAV_AUTOPILOT_INVALID, 0, false), s(0.1));
         assert_eq!(fleet.systems(), [1, 2]);
         assert!(fleet.get(2).unwrap().components.contains(&68));
-        let offboard = beat(2, 1, MavAutopilot::MAV_AUTOPILOT_PX4, Mode::OFFBOARD, true);
+        let offboard = beat(2, 1, MavAutopilot::MAV_AUTOPILOT_PX4, FlightMode::OFFBOARD, true);
         assert_eq!(words(fleet.packet(&offboard, s(1.0)))[0], "vehicle 2: LOITER to OFFBOARD");
         assert!(fleet.get(2).unwrap().mode.takes_setpoints());
     }

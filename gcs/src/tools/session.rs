@@ -17,8 +17,8 @@ use crpl_sitl::program::terminal::interrupted;
 use tokio::time::{Instant, Interval, interval, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
-use crate::tools::command::{Ask, Commander, Verdict};
-use crate::tools::fleet::{Fleet, News, Vehicle};
+use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
+use crate::tools::fleet::{Fleet, HeardVehicle, News};
 
 /// Heartbeats of every component, by the standard.
 const HEARTBEAT: Duration = Duration::from_secs(1);
@@ -27,7 +27,7 @@ const GATHER: Duration = Duration::from_millis(1200);
 
 /// Whom to talk to.
 #[derive(Debug, Clone, clap::Args)]
-pub struct Link {
+pub struct LinkFlags {
     /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT", default_value = "udpout:127.0.0.1:14550")]
     pub connect: Endpoint,
@@ -66,7 +66,7 @@ pub struct Session {
     station: Encoder,
     decoder: Decoder,
     fleet: Fleet,
-    commander: Commander,
+    commands: CommandQueue,
     system: u8,
     component: u8,
     beat: Interval,
@@ -75,7 +75,7 @@ pub struct Session {
 
 impl Session {
     /// Opens the link and waits for the vehicle.
-    pub async fn open(link: &Link) -> Result<Self> {
+    pub async fn open(link: &LinkFlags) -> Result<Self> {
         let mut hub = Hub::default();
         hub.local();
         let shown = hub.open(&link.connect).await?;
@@ -88,7 +88,7 @@ impl Session {
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
             decoder: Decoder::default(),
             fleet: Fleet::default(),
-            commander: Commander::default(),
+            commands: CommandQueue::default(),
             system: 0,
             component: link.component,
             beat: interval(HEARTBEAT),
@@ -99,7 +99,7 @@ impl Session {
     }
 
     /// The vehicle that is wanted, or the only one.
-    async fn find(&mut self, link: &Link) -> Result<u8> {
+    async fn find(&mut self, link: &LinkFlags) -> Result<u8> {
         let deadline = Duration::from_secs(link.timeout);
         let mut until = deadline;
         loop {
@@ -138,7 +138,7 @@ impl Session {
 
     /// The vehicle by its heartbeats.
     #[must_use]
-    pub fn vehicle(&self) -> Option<&Vehicle> {
+    pub fn vehicle(&self) -> Option<&HeardVehicle> {
         self.fleet.get(self.system)
     }
 
@@ -166,7 +166,7 @@ impl Session {
         while let Some(datagram) = self.hub.take() {
             for packet in self.decoder.datagram(&datagram) {
                 self.fleet.packet(&packet, now).iter().for_each(News::log);
-                self.commander.packet(&packet, now);
+                self.commands.packet(&packet, now);
                 if packet.system == self.system {
                     ours.push(packet);
                 }
@@ -178,34 +178,34 @@ impl Session {
 
     /// Asks a command and waits for its answer; gives also what came meanwhile, as a message that it
     /// announces may come before or behind the answer.
-    pub async fn command(&mut self, ask: Ask) -> Result<(Verdict, Vec<Packet>)> {
-        self.commander.ask(ask, self.now());
+    pub async fn command(&mut self, request: CommandRequest) -> Result<(CommandResult, Vec<Packet>)> {
+        self.commands.request(request, self.now());
         let mut heard = Vec::new();
         loop {
             let (now, mut datagram) = (self.now(), Vec::new());
-            self.commander.poll(now, &mut self.station, &mut datagram);
+            self.commands.poll(now, &mut self.station, &mut datagram);
             if !datagram.is_empty() {
                 self.hub.send(&datagram).await?;
             }
-            while let Some((done, verdict)) = self.commander.take() {
+            while let Some((done, result)) = self.commands.take() {
                 if done == ask {
-                    return Ok((verdict, heard));
+                    return Ok((result, heard));
                 }
             }
-            heard.extend(self.turn(self.commander.due()).await?);
+            heard.extend(self.turn(self.commands.due()).await?);
         }
     }
 
     /// Asks for one message by REQUEST_MESSAGE; `None` if the vehicle does not send it.
     pub async fn request<M: MessageData>(&mut self) -> Result<Option<Packet>> {
-        let ask = Ask::new(MavCmd::MAV_CMD_REQUEST_MESSAGE, [M::ID as f32], self.target());
-        let (verdict, heard) = self.command(ask).await?;
+        let request = CommandRequest::new(MavCmd::MAV_CMD_REQUEST_MESSAGE, [M::ID as f32], self.target());
+        let (result, heard) = self.command(request).await?;
         let wanted = |packets: Vec<Packet>| packets.into_iter().find(Packet::is::<M>);
         if let Some(packet) = wanted(heard) {
             return Ok(Some(packet));
         }
         let deadline = self.now() + Duration::from_millis(500);
-        while verdict == Verdict::Accepted && self.now() < deadline {
+        while result == CommandResult::Accepted && self.now() < deadline {
             if let Some(packet) = wanted(self.turn(Some(deadline)).await?) {
                 return Ok(Some(packet));
             }

@@ -84,7 +84,7 @@ pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
 
 /// What a DATA_TRANSMISSION_HANDSHAKE asks of a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wish {
+pub enum ImageRequest {
     /// A stream of PNG.
     Start,
     /// All fields zero: no more images.
@@ -101,13 +101,13 @@ const PNG: u8 = MavlinkDataStreamType::MAVLINK_DATA_STREAM_IMG_PNG as u8;
 impl Handshake {
     /// What it asks for. Type 0 (JPEG) with quality 0 is the standard's stop message.
     #[must_use]
-    pub fn wish(&self) -> Wish {
+    pub fn request(&self) -> ImageRequest {
         let empty = (self.size, self.width, self.height, self.packets, self.payload) == (0, 0, 0, 0, 0);
         match (empty, self.kind, self.quality) {
-            (false, ..) => Wish::NoRequest,
-            (true, 0, 0) => Wish::Stop,
-            (true, PNG, _) => Wish::Start,
-            (true, other, _) => Wish::OtherType(other),
+            (false, ..) => ImageRequest::NoRequest,
+            (true, 0, 0) => ImageRequest::Stop,
+            (true, PNG, _) => ImageRequest::Start,
+            (true, other, _) => ImageRequest::OtherType(other),
         }
     }
 }
@@ -314,11 +314,11 @@ mod tests {
     #[test]
     fn requests_are_told_apart() {
         let zero = Handshake { kind: 0, size: 0, width: 0, height: 0, packets: 0, payload: 0, quality: 0 };
-        assert_eq!(zero.wish(), Wish::Stop);
-        assert_eq!(Handshake { kind: PNG, ..zero }.wish(), Wish::Start);
-        assert_eq!(Handshake { kind: PNG, quality: 50, ..zero }.wish(), Wish::Start);
-        assert_eq!(Handshake { quality: 50, ..zero }.wish(), Wish::OtherType(0));
-        assert_eq!(Handshake { kind: PNG, size: 9, ..zero }.wish(), Wish::NoRequest);
+        assert_eq!(zero.request(), ImageRequest::Stop);
+        assert_eq!(Handshake { kind: PNG, ..zero }.request(), ImageRequest::Start);
+        assert_eq!(Handshake { kind: PNG, quality: 50, ..zero }.request(), ImageRequest::Start);
+        assert_eq!(Handshake { quality: 50, ..zero }.request(), ImageRequest::OtherType(0));
+        assert_eq!(Handshake { kind: PNG, size: 9, ..zero }.request(), ImageRequest::NoRequest);
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub const BUFFER: usize = 65_536;
 /// Bytes that wait for a stream's peer at most: some seconds of pictures.
 const UNSENT: usize = 1 << 20;
 /// Streams that one `tcpin` endpoint takes at a time.
-const MOST_STREAMS: usize = 16;
+const MAX_STREAMS: usize = 16;
 /// Between two attempts of a `tcpout` endpoint.
 const RECONNECT: Duration = Duration::from_secs(1);
 /// After an error of a socket, which is about earlier sendings ("connection refused").
@@ -265,7 +265,7 @@ fn poll_listener(
 ) -> Poll<io::Result<Arrival>> {
     while let Poll::Ready((tcp, address)) = listener.poll_accept(cx)? {
         // One too many is closed at once.
-        if streams.len() < MOST_STREAMS {
+        if streams.len() < MAX_STREAMS {
             let stream = Stream { announced: true, ..Stream::new(tcp) };
             streams.insert(address, stream);
             return Poll::Ready(Ok(Arrival::Connected(PeerId { endpoint, address })));

@@ -6,7 +6,7 @@ use super::modes::{self, Mode};
 use super::{Vehicle, messages};
 use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
-use crate::link::image::{self, Wish};
+use crate::link::image::{self, ImageRequest};
 use crate::link::messages::command::SetMode;
 use crate::link::messages::image::Handshake;
 use crate::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet};
@@ -35,17 +35,17 @@ impl Vehicle {
         }
         let asker = (packet.system, packet.component);
         if Heartbeat::of(packet).is_some_and(|beat| beat.kind == MavType::MAV_TYPE_GCS as u8) {
-            self.watch.arrived();
+            self.loss_of_link.arrived();
         }
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
             if target.is(self.system, AUTOPILOT) {
-                self.watch.arrived();
+                self.loss_of_link.arrived();
                 self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {
             self.ask(&ask, asker, from, now);
         } else if let Some(handshake) = Handshake::of(packet) {
-            self.image_wish(handshake.wish(), from, now);
+            self.image_request(handshake.request(), from, now);
         } else if let Some(transfer) = FileTransfer::of(packet) {
             self.files(&transfer, asker, from);
         } else if let Some(set) = ParamSet::of(packet) {
@@ -126,7 +126,7 @@ impl Vehicle {
     fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: PeerId, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
         if to_autopilot || to_radio {
-            self.watch.arrived();
+            self.loss_of_link.arrived();
         }
         let component = if to_autopilot { AUTOPILOT } else { RADIO };
         let [first, second, ..] = ask.params;
@@ -190,27 +190,27 @@ impl Vehicle {
         MavResult::MAV_RESULT_ACCEPTED
     }
 
-    fn image_wish(&mut self, wish: Wish, from: PeerId, now: Duration) {
+    fn image_request(&mut self, request: ImageRequest, from: PeerId, now: Duration) {
         let Some(peer) = self.peers.get_mut(&from) else { return };
-        match wish {
-            Wish::Start => {
+        match request {
+            ImageRequest::Start => {
                 let is_new = peer.images.is_none();
                 peer.images.get_or_insert(1);
                 if is_new {
                     self.send_image(from);
                 }
             }
-            Wish::Stop => {
+            ImageRequest::Stop => {
                 peer.images = None;
                 let mut datagram = Vec::new();
                 image::push_stopped(&mut peer.autopilot, &mut datagram);
                 self.outbox.push_back((from, datagram));
             }
-            Wish::OtherType(kind) => {
+            ImageRequest::OtherType(kind) => {
                 let text = format!("image type {kind} refused: only PNG (5)");
                 self.say("image type", MavSeverity::MAV_SEVERITY_WARNING, &text, now);
             }
-            Wish::NoRequest => {}
+            ImageRequest::NoRequest => {}
         }
     }
 

@@ -1,4 +1,4 @@
-//! Silence, counted in control intervals, and what follows it. Knows what got through the radio, not
+//! Loss of link, counted in control intervals, and what follows it. Knows what got through the radio, not
 //! who sent it.
 //!
 //! | silence | counts while | then, by `[failsafe]` of the scenario or `FS_*` parameters |
@@ -19,44 +19,44 @@ use super::modes::Mode;
 use crate::link::dialect::MavSeverity;
 use crate::scenario::Action;
 
-/// Silences under way.
+/// The timeouts under way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Watch {
-    setpoints: Silence,
-    stations: Silence,
+pub(super) struct LossOfLink {
+    setpoints: Timeout,
+    stations: Timeout,
     /// A station has said something since the last interval.
     arrived: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Silence {
+struct Timeout {
     /// Intervals without; `None` before the first packet.
     intervals: Option<u64>,
     /// What is being done about it.
     alarm: Option<Action>,
 }
 
-/// What an interval has made of a silence.
+/// What an interval has changed in a timeout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Change {
+enum TimeoutChange {
     None,
     Begins(Action),
     Ends,
 }
 
-impl Silence {
-    fn interval(&mut self, heard: bool, limit: u64, action: Action) -> Change {
+impl Timeout {
+    fn interval(&mut self, heard: bool, limit: u64, action: Action) -> TimeoutChange {
         if heard {
             self.intervals = Some(0);
-            return if self.alarm.take().is_some() { Change::Ends } else { Change::None };
+            return if self.alarm.take().is_some() { TimeoutChange::Ends } else { TimeoutChange::None };
         }
-        let Some(intervals) = self.intervals.as_mut() else { return Change::None };
+        let Some(intervals) = self.intervals.as_mut() else { return TimeoutChange::None };
         *intervals += 1;
         if *intervals < limit || self.alarm.is_some() {
-            return Change::None;
+            return TimeoutChange::None;
         }
         self.alarm = Some(action);
-        Change::Begins(action)
+        TimeoutChange::Begins(action)
     }
 
     fn alarmed(&self) -> bool {
@@ -64,7 +64,7 @@ impl Silence {
     }
 }
 
-impl Watch {
+impl LossOfLink {
     /// A station has said something.
     pub fn arrived(&mut self) {
         self.arrived = true;
@@ -72,7 +72,7 @@ impl Watch {
 
     /// Another mode: setpoints are waited for anew.
     pub fn settle(&mut self) {
-        self.setpoints = Silence::default();
+        self.setpoints = Timeout::default();
     }
 
     /// Whether the missing setpoints mean braking.
@@ -80,7 +80,7 @@ impl Watch {
         self.setpoints.alarm == Some(Action::Brake)
     }
 
-    /// Whether the vehicle acts on a silence.
+    /// Whether the vehicle acts on a timeout.
     pub fn alarmed(&self) -> bool {
         self.setpoints.alarmed() || self.stations.alarmed()
     }
@@ -95,24 +95,24 @@ impl Vehicle {
         }
         let failsafe = self.settings.failsafe.clone();
         let interval_s = self.clock.interval_s();
-        let arrived = std::mem::take(&mut self.watch.arrived) && !outage;
+        let arrived = std::mem::take(&mut self.loss_of_link.arrived) && !outage;
 
         if self.conduct.mode == Mode::Guided && self.conduct.armed {
             let limit = intervals(failsafe.setpoint_timeout_s, interval_s);
-            let change = self.watch.setpoints.interval(delivered, limit, failsafe.setpoint_action);
+            let change = self.loss_of_link.setpoints.interval(delivered, limit, failsafe.setpoint_action);
             self.tell(change, "setpoint", failsafe.setpoint_timeout_s, now);
-            if change == Change::Begins(Action::Return) {
+            if change == TimeoutChange::Begins(Action::Return) {
                 self.enter(Mode::Return, now);
                 // The way home is part of the failsafe, until somebody asks for another mode.
-                self.watch.setpoints.alarm = Some(Action::Return);
+                self.loss_of_link.setpoints.alarm = Some(Action::Return);
             }
         }
 
         let limit =
             intervals(failsafe.station_timeout_s, self.period.map_or(interval_s, |p| p.as_secs_f64()));
-        let change = self.watch.stations.interval(arrived, limit, failsafe.station_action);
+        let change = self.loss_of_link.stations.interval(arrived, limit, failsafe.station_action);
         self.tell(change, "station", failsafe.station_timeout_s, now);
-        if let Change::Begins(action) = change
+        if let TimeoutChange::Begins(action) = change
             && self.conduct.armed
             && !matches!(self.conduct.mode, Mode::Land | Mode::Return)
         {
@@ -124,24 +124,24 @@ impl Vehicle {
         }
     }
 
-    fn tell(&mut self, change: Change, what: &'static str, seconds: f64, now: Duration) {
+    fn tell(&mut self, change: TimeoutChange, what: &'static str, seconds: f64, now: Duration) {
         let (severity, text) = match change {
-            Change::None => return,
-            Change::Ends => (MavSeverity::MAV_SEVERITY_NOTICE, format!("{what} heard again")),
-            Change::Begins(Action::Hold) => {
+            TimeoutChange::None => return,
+            TimeoutChange::Ends => (MavSeverity::MAV_SEVERITY_NOTICE, format!("{what} heard again")),
+            TimeoutChange::Begins(Action::Hold) => {
                 (MavSeverity::MAV_SEVERITY_NOTICE, format!("no {what} for {seconds} s: goes on"))
             }
-            Change::Begins(Action::Brake) => {
+            TimeoutChange::Begins(Action::Brake) => {
                 (MavSeverity::MAV_SEVERITY_CRITICAL, format!("failsafe: no {what} for {seconds} s: brakes"))
             }
-            Change::Begins(Action::Return) => {
+            TimeoutChange::Begins(Action::Return) => {
                 (MavSeverity::MAV_SEVERITY_CRITICAL, format!("failsafe: no {what} for {seconds} s: returns"))
             }
         };
         let kind = match (what, change) {
-            ("station", Change::Ends) => "station again",
+            ("station", TimeoutChange::Ends) => "station again",
             ("station", _) => "station lost",
-            (_, Change::Ends) => "setpoint again",
+            (_, TimeoutChange::Ends) => "setpoint again",
             _ => "setpoint lost",
         };
         self.say(kind, severity, &text, now);

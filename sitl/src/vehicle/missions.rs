@@ -38,11 +38,11 @@ use crate::link::messages::mission::{
 use crate::link::{AUTOPILOT, MessageData, PeerId};
 
 /// The longest mission.
-const MOST_ITEMS: u16 = 700;
+const MAX_ITEMS: u16 = 700;
 /// How long an item is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// How often it is asked for again.
-const MOST_TRIES: u32 = 5;
+const MAX_TRIES: u32 = 5;
 
 const MISSION: MavMissionType = MavMissionType::MAV_MISSION_TYPE_MISSION;
 const ACCEPTED: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
@@ -178,7 +178,7 @@ impl Vehicle {
         if self.upload.as_ref().is_some_and(|upload| (upload.from, upload.asker) != (from, asker)) {
             return self.mission_ack(MavMissionResult::MAV_MISSION_DENIED, MISSION, asker, from);
         }
-        if end > MOST_ITEMS {
+        if end > MAX_ITEMS {
             return self.mission_ack(MavMissionResult::MAV_MISSION_NO_SPACE, MISSION, asker, from);
         }
         if first == end {
@@ -257,7 +257,7 @@ impl Vehicle {
         let Some(upload) = self.upload.as_mut().filter(|upload| upload.due <= now) else { return };
         upload.tries += 1;
         upload.due = now + PATIENCE;
-        if upload.tries <= MOST_TRIES {
+        if upload.tries <= MAX_TRIES {
             return self.request_item();
         }
         let (asker, from) = (upload.asker, upload.from);

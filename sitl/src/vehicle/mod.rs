@@ -60,7 +60,7 @@ use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
 use battery::Battery;
-use failsafe::Watch;
+use failsafe::LossOfLink;
 use height::Height;
 use meter::Meter;
 use missions::Upload;
@@ -86,7 +86,7 @@ pub struct Vehicle {
     settings: Scenario,
     conduct: Conduct,
     height: Height,
-    watch: Watch,
+    loss_of_link: LossOfLink,
     plan: Plan,
     upload: Option<Upload>,
     battery: Battery,
@@ -240,7 +240,7 @@ impl Vehicle {
             settings: sim.scenario().clone(),
             conduct: Conduct::flying(),
             height: Height::hovering(sim.scenario().scale.altitude_m),
-            watch: Watch::default(),
+            loss_of_link: LossOfLink::default(),
             plan: Plan::default(),
             upload: None,
             sim,

@@ -241,7 +241,7 @@ impl Vehicle {
         };
         // What it flies by itself takes time without a setpoint.
         self.begun |= mode != Mode::Guided;
-        self.watch.settle();
+        self.loss_of_link.settle();
         self.notice("mode change", &format!("mode {}", mode.name()), now);
         ACCEPTED
     }
@@ -332,7 +332,7 @@ impl Vehicle {
         }
         let target = match self.conduct.mode {
             Mode::Guided if self.conduct.destination.is_some() => self.conduct.destination,
-            Mode::Guided if self.conduct.waiting || self.watch.brakes() => None,
+            Mode::Guided if self.conduct.waiting || self.loss_of_link.brakes() => None,
             Mode::Guided => return Control::Station,
             Mode::Return => Some(self.sim.scenario().start).filter(|_| !self.conduct.landing),
             Mode::Auto => self.mission_target(now),
@@ -402,7 +402,7 @@ impl Vehicle {
             Conduct { armed: false, crashed: true, .. } => MavState::MAV_STATE_EMERGENCY,
             Conduct { armed: false, .. } if !self.height.on_ground() => MavState::MAV_STATE_EMERGENCY,
             Conduct { armed: false, .. } => MavState::MAV_STATE_STANDBY,
-            _ if self.watch.alarmed() => MavState::MAV_STATE_CRITICAL,
+            _ if self.loss_of_link.alarmed() => MavState::MAV_STATE_CRITICAL,
             _ => MavState::MAV_STATE_ACTIVE,
         }
     }

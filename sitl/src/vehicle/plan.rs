@@ -63,7 +63,7 @@ const LOCAL_NED: u8 = 1;
 const MISSION_FRAME: u8 = 2;
 
 /// Items that are looked at in one interval: jumps can go round in circles.
-const MOST_STEPS: usize = 64;
+const MAX_STEPS: usize = 64;
 
 /// An item as it was uploaded.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -342,7 +342,7 @@ impl Vehicle {
             self.plan.begun = true;
             self.tell_current(now);
         }
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let seq = self.plan.current;
             let Some(&item) = self.plan.items.get(usize::from(seq)).filter(|_| seq > 0) else {
                 return self.plan.last;

@@ -33,13 +33,13 @@ use crpl_sitl::radio::message::{Command, Percept};
 use super::Foreign;
 use super::scene::Scene;
 use super::tracking::{Tracker, hold_height};
-use crate::tools::command::{Ask, Commander, Verdict};
+use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
 use crate::tools::session::push_heartbeat;
 
-/// Whose rules a vehicle follows.
+/// The autopilot whose protocol a foreign vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Stack {
+pub enum ForeignStack {
     /// ArduCopter, flown in GUIDED
     Ardupilot,
     /// PX4, flown in OFFBOARD
@@ -77,11 +77,11 @@ const MODE_BRAKE: f32 = 17.0;
 
 /// Something for the shell.
 #[derive(Debug)]
-pub enum Event {
+pub enum GuideEvent {
     /// For the log.
     Say(String),
-    /// From now on this system is flown from here alone.
-    Held(u8),
+    /// From now on this program alone sends setpoints to this system.
+    TakeControl(u8),
     /// A control interval begins: [`Guide::fly`] wants a command.
     Percept(Percept),
     /// The last interval has ended; no command is wanted.
@@ -95,7 +95,7 @@ pub enum Event {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Phase {
+enum GuidePhase {
     /// For the vehicle's heartbeat and its position.
     Waiting,
     Prestream,
@@ -124,13 +124,13 @@ pub struct Guide {
     scenario: Scenario,
     foreign: Foreign,
     ticks: u64,
-    phase: Phase,
+    phase: GuidePhase,
     /// Since when, wall time.
     since: Duration,
     station: Encoder,
     decoder: Decoder,
     fleet: Fleet,
-    commander: Commander,
+    commands: CommandQueue,
     system: Option<u8>,
     place: Option<Place>,
     /// Where it stood before it climbed.
@@ -150,7 +150,7 @@ pub struct Guide {
     asked: Option<MavCmd>,
     /// The newest complaint of the vehicle.
     complaint: String,
-    events: VecDeque<Event>,
+    events: VecDeque<GuideEvent>,
 }
 
 impl Guide {
@@ -162,12 +162,12 @@ impl Guide {
             scenario,
             foreign: *foreign,
             ticks,
-            phase: Phase::Waiting,
+            phase: GuidePhase::Waiting,
             since: Duration::ZERO,
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
             decoder: Decoder::default(),
             fleet: Fleet::paced(foreign.speed),
-            commander: Commander::default(),
+            commands: CommandQueue::default(),
             system: foreign.system,
             place: None,
             ground: [0.0; 3],
@@ -186,7 +186,7 @@ impl Guide {
     }
 
     /// What has happened.
-    pub fn take(&mut self) -> Option<Event> {
+    pub fn take(&mut self) -> Option<GuideEvent> {
         self.events.pop_front()
     }
 
@@ -194,10 +194,10 @@ impl Guide {
     #[must_use]
     pub fn due(&self) -> Duration {
         let mut due = self.next_beat.min(self.next_setpoint);
-        if self.phase == Phase::Flying && self.place.is_some_and(|place| place.boot >= self.next_tick) {
+        if self.phase == GuidePhase::Flying && self.place.is_some_and(|place| place.boot >= self.next_tick) {
             due = Duration::ZERO;
         }
-        [self.commander.due(), self.retry].into_iter().flatten().fold(due, Duration::min)
+        [self.commands.due(), self.retry].into_iter().flatten().fold(due, Duration::min)
     }
 
     /// A datagram of the vehicle has come.
@@ -206,7 +206,7 @@ impl Guide {
             for news in self.fleet.packet(&packet, now) {
                 self.news(news, now);
             }
-            self.commander.packet(&packet, now);
+            self.commands.packet(&packet, now);
             if Some(packet.system) == self.system {
                 self.packet(&packet, now);
             }
@@ -238,8 +238,8 @@ impl Guide {
         match news {
             News::Found(id, mode, _) if self.system.is_none_or(|system| system == id) => {
                 let expected = match self.foreign.stack {
-                    Stack::Ardupilot => fleet::Stack::ArduPilot,
-                    Stack::Px4 => fleet::Stack::Px4,
+                    ForeignStack::Ardupilot => fleet::ForeignStack::ArduPilot,
+                    ForeignStack::Px4 => fleet::ForeignStack::Px4,
                 };
                 self.say(news.to_string());
                 if mode.stack != expected {
@@ -252,11 +252,11 @@ impl Guide {
             }
             News::Mode(id, _, mode) if Some(id) == self.system => {
                 self.say(news.to_string());
-                if self.phase == Phase::Flying && !mode.takes_setpoints() {
+                if self.phase == GuidePhase::Flying && !mode.takes_setpoints() {
                     self.taken_over(&news.to_string());
                 }
             }
-            News::Armed(id, false) if Some(id) == self.system && self.phase == Phase::Flying => {
+            News::Armed(id, false) if Some(id) == self.system && self.phase == GuidePhase::Flying => {
                 self.taken_over(&news.to_string());
             }
             _ => self.say(news.to_string()),
@@ -265,30 +265,30 @@ impl Guide {
 
     fn ask_for_streams(&mut self, system: u8, now: Duration) {
         let params = [LOCAL_POSITION_NED_DATA::ID as f32, REPORT_US];
-        let ask = Ask::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
-        self.commander.ask(ask, now);
+        let ask = CommandRequest::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
+        self.commands.ask(ask, now);
     }
 
     /// Somebody else flies from now on.
     pub fn taken_over(&mut self, why: &str) {
-        if self.phase != Phase::Done {
-            self.phase = Phase::Done;
-            self.events.push_back(Event::TakenOver(why.into()));
+        if self.phase != GuidePhase::Done {
+            self.phase = GuidePhase::Done;
+            self.events.push_back(GuideEvent::TakenOver(why.into()));
         }
     }
 
     fn say(&mut self, text: String) {
-        self.events.push_back(Event::Say(text));
+        self.events.push_back(GuideEvent::Say(text));
     }
 
     fn fail(&mut self, why: String) {
-        if self.phase != Phase::Done {
-            self.phase = Phase::Done;
-            self.events.push_back(Event::Failed(why));
+        if self.phase != GuidePhase::Done {
+            self.phase = GuidePhase::Done;
+            self.events.push_back(GuideEvent::Failed(why));
         }
     }
 
-    fn enter(&mut self, phase: Phase, now: Duration) {
+    fn enter(&mut self, phase: GuidePhase, now: Duration) {
         self.phase = phase;
         self.since = now;
         self.retry = Some(now);
@@ -311,18 +311,24 @@ impl Guide {
         for news in self.fleet.poll(now) {
             self.news(news, now);
         }
-        while let Some((ask, verdict)) = self.commander.take() {
+        while let Some((ask, verdict)) = self.commands.take() {
             self.answered(&ask, verdict, &mut datagram, now);
         }
         self.step(now);
-        self.commander.poll(now, &mut self.station, &mut datagram);
+        self.commands.poll(now, &mut self.station, &mut datagram);
         self.setpoint(now, &mut datagram);
         datagram
     }
 
-    fn answered(&mut self, ask: &Ask, verdict: Verdict, datagram: &mut Vec<u8>, now: Duration) {
+    fn answered(
+        &mut self,
+        ask: &CommandRequest,
+        verdict: CommandResult,
+        datagram: &mut Vec<u8>,
+        now: Duration,
+    ) {
         match ask.command {
-            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if verdict != Verdict::Accepted => {
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if verdict != CommandResult::Accepted => {
                 self.say(format!("message interval {verdict}: asking for data streams"));
                 let (system, component) = ask.target;
                 for (stream, hz) in [(STREAM_POSITION, 20), (STREAM_ALL, 4)] {
@@ -331,7 +337,7 @@ impl Guide {
                         .push_view(datagram, &RequestDataStream { rate: hz, target, stream, start: 1 });
                 }
             }
-            command if self.asked == Some(command) && verdict != Verdict::Accepted => {
+            command if self.asked == Some(command) && verdict != CommandResult::Accepted => {
                 let complaint =
                     if self.complaint.is_empty() { String::new() } else { format!(": {}", self.complaint) };
                 self.say(format!("{} {verdict}{complaint}", words(command)));
@@ -346,11 +352,11 @@ impl Guide {
     /// The step's command was accepted.
     fn accepted(&mut self, command: MavCmd, now: Duration) {
         match (self.phase, command) {
-            (Phase::Mode, MavCmd::MAV_CMD_DO_SET_MODE) => self.enter(Phase::Arm, now),
-            (Phase::Arm, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM) => self.enter(Phase::Climb, now),
-            (Phase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => {
-                self.phase = Phase::Done;
-                self.events.push_back(Event::Holding);
+            (GuidePhase::Mode, MavCmd::MAV_CMD_DO_SET_MODE) => self.enter(GuidePhase::Arm, now),
+            (GuidePhase::Arm, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM) => self.enter(GuidePhase::Climb, now),
+            (GuidePhase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => {
+                self.phase = GuidePhase::Done;
+                self.events.push_back(GuideEvent::Holding);
             }
             _ => {}
         }
@@ -359,30 +365,36 @@ impl Guide {
     /// Goes on where it can.
     fn step(&mut self, now: Duration) {
         let patience = match self.phase {
-            Phase::Flying | Phase::Done => Duration::MAX,
+            GuidePhase::Flying | GuidePhase::Done => Duration::MAX,
             _ => PATIENCE,
         };
         if now.saturating_sub(self.since) > self.wall(patience.min(Duration::from_secs(1_000_000))) {
             return self.too_long();
         }
         let Some(place) = self.place.filter(|_| self.known()) else { return };
-        if self.phase != Phase::Done && now.saturating_sub(place.at) > SILENCE {
+        if self.phase != GuidePhase::Done && now.saturating_sub(place.at) > SILENCE {
             return self.fail(format!("the vehicle has not said where it is for {} s", SILENCE.as_secs()));
         }
         match self.phase {
-            Phase::Waiting => {
+            GuidePhase::Waiting => {
                 self.ground = place.position;
-                let next = if self.foreign.stack == Stack::Px4 { Phase::Prestream } else { Phase::Mode };
+                let next = if self.foreign.stack == ForeignStack::Px4 {
+                    GuidePhase::Prestream
+                } else {
+                    GuidePhase::Mode
+                };
                 self.enter(next, now);
             }
             // In wall time, as PX4's simulator counts it.
-            Phase::Prestream if now.saturating_sub(self.since) >= PRESTREAM => self.enter(Phase::Mode, now),
-            Phase::Mode => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.control_mode(), now),
-            Phase::Arm => self.ask_once(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0], now),
-            Phase::Climb => self.climb(&place, now),
-            Phase::Flying => self.tick(&place, now),
-            Phase::Braking => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now),
-            Phase::Prestream | Phase::Done => {}
+            GuidePhase::Prestream if now.saturating_sub(self.since) >= PRESTREAM => {
+                self.enter(GuidePhase::Mode, now)
+            }
+            GuidePhase::Mode => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.control_mode(), now),
+            GuidePhase::Arm => self.ask_once(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0], now),
+            GuidePhase::Climb => self.climb(&place, now),
+            GuidePhase::Flying => self.tick(&place, now),
+            GuidePhase::Braking => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now),
+            GuidePhase::Prestream | GuidePhase::Done => {}
         }
     }
 
@@ -392,11 +404,11 @@ impl Guide {
 
     fn too_long(&mut self) {
         let what = match self.phase {
-            Phase::Waiting if self.system.is_none() || !self.known() => "no vehicle heard",
-            Phase::Waiting => "the vehicle does not say where it is (LOCAL_POSITION_NED)",
-            Phase::Mode | Phase::Prestream => "the vehicle does not take its mode",
-            Phase::Arm => "the vehicle does not arm",
-            Phase::Climb => "the vehicle does not reach its height",
+            GuidePhase::Waiting if self.system.is_none() || !self.known() => "no vehicle heard",
+            GuidePhase::Waiting => "the vehicle does not say where it is (LOCAL_POSITION_NED)",
+            GuidePhase::Mode | GuidePhase::Prestream => "the vehicle does not take its mode",
+            GuidePhase::Arm => "the vehicle does not arm",
+            GuidePhase::Climb => "the vehicle does not reach its height",
             _ => "the vehicle does not hold its place",
         };
         let complaint =
@@ -413,21 +425,21 @@ impl Guide {
         self.retry = None;
         let mut all = [0.0; 7];
         all[..params.len()].copy_from_slice(params);
-        self.commander.ask(Ask { command, params: all, target: (system, AUTOPILOT) }, now);
+        self.commands.ask(CommandRequest { command, params: all, target: (system, AUTOPILOT) }, now);
     }
 
     fn control_mode(&self) -> [f32; 2] {
         match self.foreign.stack {
-            Stack::Ardupilot => [1.0, 4.0],
-            Stack::Px4 => [1.0, 6.0],
+            ForeignStack::Ardupilot => [1.0, 4.0],
+            ForeignStack::Px4 => [1.0, 6.0],
         }
     }
 
     /// BRAKE; or AUTO's LOITER, which PX4's stations call Hold.
     fn hold_mode(&self) -> [f32; 3] {
         match self.foreign.stack {
-            Stack::Ardupilot => [1.0, MODE_BRAKE, 0.0],
-            Stack::Px4 => [1.0, 4.0, 3.0],
+            ForeignStack::Ardupilot => [1.0, MODE_BRAKE, 0.0],
+            ForeignStack::Px4 => [1.0, 4.0, 3.0],
         }
     }
 
@@ -437,18 +449,18 @@ impl Guide {
     }
 
     fn climb(&mut self, place: &Place, now: Duration) {
-        if self.foreign.stack == Stack::Ardupilot {
+        if self.foreign.stack == ForeignStack::Ardupilot {
             let altitude = self.scenario.scale.altitude_m as f32;
             self.ask_once(MavCmd::MAV_CMD_NAV_TAKEOFF, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, altitude], now);
         }
         let near = (f64::from(place.position[2]) - self.height()).abs() < NEAR_M;
         let slow = place.velocity.iter().all(|v| f64::from(v.abs()) < SLOW_MPS);
         if near && slow {
-            self.enter(Phase::Flying, now);
+            self.enter(GuidePhase::Flying, now);
             self.scene = Some(Scene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
             self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
-            self.events.extend(self.system.map(Event::Held));
+            self.events.extend(self.system.map(GuideEvent::TakeControl));
             self.tick(place, now);
         }
     }
@@ -474,10 +486,10 @@ impl Guide {
         }
         if outside > FENCE || over {
             self.wish = [0.0; 2];
-            self.enter(Phase::Braking, now);
-            self.events.push_back(Event::Over(percept));
+            self.enter(GuidePhase::Braking, now);
+            self.events.push_back(GuideEvent::Over(percept));
         } else {
-            self.events.push_back(Event::Percept(percept));
+            self.events.push_back(GuideEvent::Percept(percept));
         }
     }
 
@@ -509,10 +521,10 @@ impl Guide {
     /// Makes the vehicle stay where it is, at once.
     pub fn let_go(&mut self, now: Duration) -> Vec<u8> {
         let mut datagram = Vec::new();
-        if !matches!(self.phase, Phase::Waiting | Phase::Done) {
-            self.enter(Phase::Braking, now);
+        if !matches!(self.phase, GuidePhase::Waiting | GuidePhase::Done) {
+            self.enter(GuidePhase::Braking, now);
             self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now);
-            self.commander.poll(now, &mut self.station, &mut datagram);
+            self.commands.poll(now, &mut self.station, &mut datagram);
         }
         datagram
     }
@@ -524,7 +536,7 @@ impl Guide {
         }
         self.next_setpoint = now + self.wall(SETPOINT).max(Duration::from_millis(4));
         let (Some(system), Some(place)) = (self.system, self.place) else { return };
-        let px4 = self.foreign.stack == Stack::Px4;
+        let px4 = self.foreign.stack == ForeignStack::Px4;
         let mut message = SET_POSITION_TARGET_LOCAL_NED_DATA {
             time_boot_ms: now.as_millis() as u32,
             coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
@@ -533,12 +545,12 @@ impl Guide {
             ..Default::default()
         };
         let mask = match self.phase {
-            Phase::Prestream | Phase::Mode | Phase::Arm | Phase::Climb if px4 => {
+            GuidePhase::Prestream | GuidePhase::Mode | GuidePhase::Arm | GuidePhase::Climb if px4 => {
                 [message.x, message.y] = [self.ground[0], self.ground[1]];
                 message.z = self.height() as f32;
                 MASK_POSITION
             }
-            Phase::Flying | Phase::Braking => {
+            GuidePhase::Flying | GuidePhase::Braking => {
                 let last = self.tracked.replace(place.boot).unwrap_or(place.boot);
                 let dt = place.boot.saturating_sub(last).as_secs_f64();
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);

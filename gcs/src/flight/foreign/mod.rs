@@ -25,17 +25,17 @@ use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};
 use tokio::time::{Instant, sleep_until};
 
-use crate::flight::{Ended, Flight, Options};
+use crate::flight::{Flight, FlightEnd, Options};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
-use guide::{Event, Guide, Stack};
+use guide::{ForeignStack, Guide, GuideEvent};
 
 /// Which vehicle, and how.
 #[derive(Debug, Clone, Copy)]
 pub struct Foreign {
-    /// Whose rules.
-    pub stack: Stack,
+    /// Its autopilot.
+    pub stack: ForeignStack,
     /// Its system id, or the first that is heard.
     pub system: Option<u8>,
     /// Speed of its simulator relative to real time.
@@ -65,9 +65,9 @@ pub async fn fly(
         }
         while let Some(event) = guide.take() {
             match event {
-                Event::Say(text) => tracing::info!("{text}"),
-                Event::Held(system) => hub.hold(Some(system)),
-                Event::Percept(percept) => {
+                GuideEvent::Say(text) => tracing::info!("{text}"),
+                GuideEvent::TakeControl(system) => hub.take_control(Some(system)),
+                GuideEvent::Percept(percept) => {
                     let arrived = Instant::now();
                     let command = station(&percept);
                     hub.send(&guide.fly(&command, start.elapsed())).await?;
@@ -75,13 +75,13 @@ pub async fn fly(
                     flight.wall = arrived - *begun.get_or_insert(arrived);
                     flight.last = Some(percept);
                 }
-                Event::Over(percept) => flight.last = Some(percept),
-                Event::Holding => return end(hub, flight, Ended::Over).await,
-                Event::TakenOver(why) => {
+                GuideEvent::Over(percept) => flight.last = Some(percept),
+                GuideEvent::Holding => return end(hub, flight, FlightEnd::Over).await,
+                GuideEvent::TakenOver(why) => {
                     tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
-                    return end(hub, flight, Ended::TakenOver).await;
+                    return end(hub, flight, FlightEnd::TakenOver).await;
                 }
-                Event::Failed(why) => bail!("{connect}: {why}"),
+                GuideEvent::Failed(why) => bail!("{connect}: {why}"),
             }
         }
         let due = start + guide.due().max(now + Duration::from_millis(1));
@@ -91,7 +91,7 @@ pub async fn fly(
             () = &mut interrupted => {
                 let datagram = guide.let_go(start.elapsed());
                 hub.send(&datagram).await?;
-                return end(hub, flight, Ended::Interrupted).await;
+                return end(hub, flight, FlightEnd::Interrupted).await;
             }
         }
         for notice in hub.notices() {
@@ -106,8 +106,14 @@ pub async fn fly(
     }
 }
 
-async fn end(mut hub: Hub, flight: Flight, ended: Ended) -> Result<Flight> {
+async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd) -> Result<Flight> {
     hub.close().await?;
     let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
-    Ok(Flight { ended, packets: hub.counts(), lost, held_back: hub.router().held_back(), ..flight })
+    Ok(Flight {
+        ended,
+        packets: hub.counts(),
+        lost,
+        suppressed_setpoints: hub.router().suppressed_setpoints(),
+        ..flight
+    })
 }

@@ -19,12 +19,12 @@ use crpl_sitl::link::{AUTOPILOT, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::units::Tick;
 
-use crate::tools::fleet::{Fleet, Mode, News};
+use crate::tools::fleet::{Fleet, FlightMode, News};
 use crate::tools::session::push_heartbeat;
 
 /// Something worth acting on.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
+pub enum RemoteEvent {
     /// A percept, complete, newer than all before.
     Percept(Percept),
     /// The vehicle has sent the report of the newest percept again: it misses our command.
@@ -34,7 +34,7 @@ pub enum Event {
     /// What the vehicle's heartbeats tell.
     News(News),
     /// The vehicle has left GUIDED for this mode: somebody else flies it.
-    LeftGuided(Mode),
+    LeftGuided(FlightMode),
 }
 
 /// The far end of the link.
@@ -81,7 +81,7 @@ impl Remote {
     }
 
     /// A datagram has arrived.
-    pub fn datagram(&mut self, bytes: &[u8], now: Duration) -> Vec<Event> {
+    pub fn datagram(&mut self, bytes: &[u8], now: Duration) -> Vec<RemoteEvent> {
         let packets = self.decoder.datagram(bytes);
         let mut events = Vec::new();
         for packet in &packets {
@@ -96,10 +96,10 @@ impl Remote {
         events
     }
 
-    fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<Event>) {
+    fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<RemoteEvent>) {
         if let Some(report) = self.reports.push(packet, &self.clock) {
             if self.newest == Some(report.tick) {
-                events.push(Event::Repeat(report.tick));
+                events.push(RemoteEvent::Repeat(report.tick));
             } else if self.newest < Some(report.tick) {
                 if self.report.is_none_or(|known| known.tick < report.tick) {
                     self.images.clear();
@@ -114,19 +114,19 @@ impl Remote {
             && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
         {
             let text = message.text.to_str().unwrap_or_default().to_owned();
-            events.push(Event::Text(message.severity as u8, text));
+            events.push(RemoteEvent::Text(message.severity as u8, text));
         } else if packet.is::<dialect::HEARTBEAT_DATA>() {
             for news in self.fleet.packet(packet, now) {
-                events.push(Event::News(news));
+                events.push(RemoteEvent::News(news));
                 if let News::Mode(_, before, after) = news
                     && before.takes_setpoints()
                     && !after.takes_setpoints()
                 {
-                    events.push(Event::LeftGuided(after));
+                    events.push(RemoteEvent::LeftGuided(after));
                 }
             }
         }
-        events.extend(self.complete().map(Event::Percept));
+        events.extend(self.complete().map(RemoteEvent::Percept));
     }
 
     /// The percept, if both of its parts are there.
@@ -224,9 +224,9 @@ impl Remote {
         self.decoder.counts()
     }
 
-    /// Reports that did not fit (another scenario's clock, not finite) and pictures glued from two.
+    /// Rejected reports (another scenario's clock, values that are not finite) and rejected frames.
     #[must_use]
-    pub fn misfits(&self) -> u64 {
+    pub fn rejected_messages(&self) -> u64 {
         self.reports.malformed() + self.images.rejected()
     }
 }

@@ -96,12 +96,12 @@ fn through(fate: impl Fn(u64) -> Fate) -> (Vec<Percept>, crpl_sitl::radio::Fates
                 }
                 for event in remote.datagram(&bytes, now) {
                     match event {
-                        Event::Percept(percept) => {
+                        RemoteEvent::Percept(percept) => {
                             down.push_back(remote.command(&pilot(&percept)));
                             percepts.push(percept);
                         }
-                        Event::Repeat(_) => down.extend(remote.repeat()),
-                        Event::Text(..) | Event::News(_) | Event::LeftGuided(_) => {}
+                        RemoteEvent::Repeat(_) => down.extend(remote.repeat()),
+                        RemoteEvent::Text(..) | RemoteEvent::News(_) | RemoteEvent::LeftGuided(_) => {}
                     }
                 }
             }
@@ -151,7 +151,7 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
     }
     while let Some((_, bytes)) = vehicle.poll() {
         for event in remote.datagram(&bytes, Duration::ZERO) {
-            if let Event::Percept(percept) = event {
+            if let RemoteEvent::Percept(percept) = event {
                 sent.push(remote.command(&pilot(&percept)));
             }
         }
@@ -173,7 +173,7 @@ fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
         let autopilot = dialect::MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
         encoder.push(&mut bytes, &dialect::HEARTBEAT_DATA { custom_mode, autopilot, ..Default::default() });
         let events = remote.datagram(&bytes, Duration::ZERO);
-        events.iter().any(|event| matches!(event, Event::LeftGuided(mode) if mode.custom == 9))
+        events.iter().any(|event| matches!(event, RemoteEvent::LeftGuided(mode) if mode.custom == 9))
     };
     for (ours_speaks, mode, left) in [
         (true, 0, false),
@@ -196,11 +196,11 @@ fn a_link_is_lost_after_five_heartbeats_and_regained() {
         vehicle.push(&mut bytes, &dialect::HEARTBEAT_DATA::default());
         remote.datagram(&bytes, Duration::from_secs(seconds))
     };
-    assert!(matches!(heartbeat(&mut remote, 0)[..], [Event::News(News::Found(9, ..))]));
+    assert!(matches!(heartbeat(&mut remote, 0)[..], [RemoteEvent::News(News::Found(9, ..))]));
     assert_eq!(remote.poll(Duration::from_secs(5)), []);
     assert_eq!(remote.poll(Duration::from_secs(6)), [News::Lost(9)]);
     assert!(remote.is_lost());
-    assert_eq!(heartbeat(&mut remote, 8), [Event::News(News::Regained(9, Duration::from_secs(8)))]);
+    assert_eq!(heartbeat(&mut remote, 8), [RemoteEvent::News(News::Regained(9, Duration::from_secs(8)))]);
     assert!(!remote.is_lost());
 }
 
@@ -215,7 +215,7 @@ fn another_vehicle_on_the_same_link_is_not_ours() {
         let sent: Vec<_> = std::iter::from_fn(|| vehicle.poll()).collect();
         sent.iter()
             .flat_map(|(_, bytes)| remote.datagram(bytes, Duration::ZERO))
-            .filter(|e| matches!(e, Event::Percept(_)))
+            .filter(|e| matches!(e, RemoteEvent::Percept(_)))
             .count()
     };
     assert_eq!(hear(&mut remote, 4), 1);

@@ -17,7 +17,7 @@ use crate::lab::parquet;
 /// What `sweep.toml` says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Sheet {
+struct SweepManifest {
     hash: String,
     shard: String,
     revision: String,
@@ -64,7 +64,7 @@ impl Folder {
             return Ok(there);
         }
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-        folder.write_sheet()?;
+        folder.write_manifest()?;
         Ok(folder)
     }
 
@@ -74,12 +74,12 @@ impl Folder {
         let name = path.display();
         let text = std::fs::read_to_string(&path)
             .with_context(|| format!("{} is not a sweep's folder: reading {name}", dir.display()))?;
-        let sheet: Sheet = toml::from_str(&text).with_context(|| format!("reading {name}"))?;
-        if sheet.hash != sheet.plan.hash()? {
-            bail!("{name}: was changed after it was written: its hash is not {}", sheet.hash);
+        let manifest: SweepManifest = toml::from_str(&text).with_context(|| format!("reading {name}"))?;
+        if manifest.hash != manifest.plan.hash()? {
+            bail!("{name}: was changed after it was written: its hash is not {}", manifest.hash);
         }
-        let shard = sheet.shard.parse().map_err(|e| anyhow::anyhow!("{name}: shard {e}"))?;
-        Ok(Self { dir: dir.into(), plan: sheet.plan, shard, revision: sheet.revision })
+        let shard = manifest.shard.parse().map_err(|e| anyhow::anyhow!("{name}: shard {e}"))?;
+        Ok(Self { dir: dir.into(), plan: manifest.plan, shard, revision: manifest.revision })
     }
 
     /// Where it lies.
@@ -118,8 +118,8 @@ impl Folder {
         self.write("points.csv", table::csv(&table::rows(&self.plan, &episodes)).as_bytes())?;
         let names: Vec<String> = episodes.iter().map(|e| e.controller.to_string()).collect();
         let mut bytes = Vec::new();
-        let sheet = self.sheet()?;
-        parquet::write(&mut bytes, &Episode::columns(&episodes, &names), &[("sweep.toml", &sheet)])?;
+        let manifest = self.manifest()?;
+        parquet::write(&mut bytes, &Episode::columns(&episodes, &names), &[("sweep.toml", &manifest)])?;
         self.write("episodes.parquet", &bytes)?;
         let lines = std::iter::once(episode::line(Episode::head())).chain(episodes.iter().map(Episode::line));
         self.write("episodes.csv", &lines.flatten().collect::<Vec<u8>>())?;
@@ -161,18 +161,18 @@ impl Folder {
         self.units().map(&mut next).collect()
     }
 
-    fn sheet(&self) -> Result<String> {
-        let sheet = Sheet {
+    fn manifest(&self) -> Result<String> {
+        let manifest = SweepManifest {
             hash: self.plan.hash()?,
             shard: self.shard.to_string(),
             revision: self.revision.clone(),
             plan: self.plan.clone(),
         };
-        Ok(toml::to_string(&sheet)?)
+        Ok(toml::to_string(&manifest)?)
     }
 
-    fn write_sheet(&self) -> Result<()> {
-        self.write("sweep.toml", self.sheet()?.as_bytes())
+    fn write_manifest(&self) -> Result<()> {
+        self.write("sweep.toml", self.manifest()?.as_bytes())
     }
 
     /// Writes a whole file or none: a reader never sees half of one.
@@ -207,7 +207,7 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, text.replace(crate::revision(), "another")).unwrap();
         let folder = begin(&plan).unwrap();
-        assert!(folder.sheet().unwrap().contains("revision = \"another\""));
+        assert!(folder.manifest().unwrap().contains("revision = \"another\""));
         let other = Plan { code: "another".into(), ..plan };
         let error = begin(&other).unwrap_err().to_string();
         assert!(error.contains("holds another sweep: code = \"another\""), "{error}");

@@ -28,7 +28,7 @@ pub struct Counters {
     /// Datagrams that the system would not send.
     pub send_errors: u64,
     /// From a request that was passed on to its answer on this link: commands, TIMESYNC, PING.
-    pub round_trip: Histogram,
+    pub round_trip: LatencyHistogram,
     /// When the last good frame came, on the router's clock.
     pub last_heard: Option<Duration>,
 }
@@ -65,14 +65,14 @@ const BUCKETS: usize = 24;
 
 /// Durations by powers of two, from 1 µs to 8 s.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Histogram {
+pub struct LatencyHistogram {
     counts: [u64; BUCKETS],
     total: u64,
     sum: Duration,
     longest: Duration,
 }
 
-impl Histogram {
+impl LatencyHistogram {
     /// Adds one duration.
     pub fn add(&mut self, duration: Duration) {
         let bucket = (duration.as_nanos().saturating_sub(1) / 1000).max(1).ilog2() as usize
@@ -131,7 +131,7 @@ fn bound(bucket: usize) -> Duration {
 
 /// A link as it is shown.
 #[derive(Debug)]
-pub struct Row<'a> {
+pub struct LinkRow<'a> {
     /// Its endpoint, and its peer's address.
     pub name: &'a str,
     /// Who was heard on it.
@@ -142,7 +142,7 @@ pub struct Row<'a> {
 
 /// A table for people: one line a link, rates over the last `period`.
 #[must_use]
-pub fn table(rows: &[Row<'_>], before: &[(u64, u64)], period: Duration) -> String {
+pub fn table(rows: &[LinkRow<'_>], before: &[(u64, u64)], period: Duration) -> String {
     let mut text = format!(
         "{:<40} {:>9} {:>7} {:>9} {:>7} {:>7} {:>6} {:>6} {:>9}  heard\n",
         "link", "received", "/s", "sent", "/s", "lost", "loss", "copies", "trip p99"
@@ -182,7 +182,7 @@ pub fn table(rows: &[Row<'_>], before: &[(u64, u64)], period: Duration) -> Strin
 
 /// All counters in Prometheus' text format, version 0.0.4. `forward` is the time in the bridge.
 #[must_use]
-pub fn prometheus(rows: &[Row<'_>], forward: &Histogram, now: Duration) -> String {
+pub fn prometheus(rows: &[LinkRow<'_>], forward: &LatencyHistogram, now: Duration) -> String {
     type Value = fn(&Counters) -> f64;
     let counters: [(&str, &str, Value); 13] = [
         ("received_frames", "Good frames received.", |c| c.received() as f64),
@@ -200,7 +200,7 @@ pub fn prometheus(rows: &[Row<'_>], forward: &Histogram, now: Duration) -> Strin
         ("send_errors", "Datagrams that could not be sent.", |c| c.send_errors as f64),
     ];
     let mut out = String::new();
-    let label = |row: &Row<'_>| format!("link=\"{}\"", row.name.replace(['\\', '"'], "_"));
+    let label = |row: &LinkRow<'_>| format!("link=\"{}\"", row.name.replace(['\\', '"'], "_"));
     for (name, help, value) in counters {
         let name = format!("mavlink_bridge_{name}_total");
         let _ = writeln!(out, "# HELP {name} {help}\n# TYPE {name} counter");
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn quantiles_bound_what_was_added() {
-        let mut histogram = Histogram::default();
+        let mut histogram = LatencyHistogram::default();
         assert_eq!(histogram.quantile(0.5), None);
         for us in [1, 3, 3, 900] {
             histogram.add(Duration::from_micros(us));
@@ -247,7 +247,7 @@ mod tests {
     #[test]
     fn every_bucket_holds_what_its_bound_says() {
         for k in 0..BUCKETS {
-            let mut histogram = Histogram::default();
+            let mut histogram = LatencyHistogram::default();
             histogram.add(bound(k));
             assert_eq!(histogram.counts[k], 1, "{k}");
             histogram.add(bound(k) + Duration::from_nanos(1));
@@ -261,8 +261,8 @@ mod tests {
         counters.frames.frames = 3;
         counters.last_heard = Some(Duration::from_secs(1));
         counters.round_trip.add(Duration::from_micros(2));
-        let rows = [Row { name: "udpin:127.0.0.1:14550", systems: vec![(1, 1)], counters: &counters }];
-        let text = prometheus(&rows, &Histogram::default(), Duration::from_secs(3));
+        let rows = [LinkRow { name: "udpin:127.0.0.1:14550", systems: vec![(1, 1)], counters: &counters }];
+        let text = prometheus(&rows, &LatencyHistogram::default(), Duration::from_secs(3));
         let line = "mavlink_bridge_missing_frames_total{link=\"udpin:127.0.0.1:14550\"} 2";
         assert!(text.lines().any(|l| l == line), "{text}");
         assert!(text.contains("round_trip_seconds_bucket{link=\"udpin:127.0.0.1:14550\",le=\"0.000002\"} 1"));

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`router`] | which frame goes where; copies, losses, round trips | sockets, clocks |
 //! | [`hub`] | UDP and TCP sockets around it, in bursts | messages |
-//! | [`seal`] | message signing | sockets |
+//! | [`signer`] | message signing | sockets |
 //! | [`tcp`] | one task a connection | frames |
 //! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
 //! | [`metrics`] | `GET /metrics` | what it serves |
@@ -15,7 +15,7 @@ pub mod counters;
 pub mod hub;
 pub mod metrics;
 pub mod router;
-pub mod seal;
+pub mod signer;
 pub mod tcp;
 
 use std::net::SocketAddr;
@@ -27,7 +27,7 @@ use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::terminal::{interrupted, say};
 use tokio::time::{Instant, interval_at};
 
-use hub::{Hub, Side};
+use hub::{Hub, LinkSide};
 use router::Notice;
 
 /// Flags of `gcs bridge`.
@@ -61,9 +61,9 @@ const SAVE: Duration = Duration::from_secs(1);
 pub async fn run(args: Bridge) -> Result<()> {
     let mut hub = Hub::default();
     if let Some(path) = &args.signing_key {
-        hub.seal_masters(path)?;
+        hub.sign_vehicle_side(path)?;
     }
-    let sides = [("vehicle", Side::Master, &args.connect), ("forward", Side::Out, &args.forward)];
+    let sides = [("vehicle", LinkSide::Vehicle, &args.connect), ("forward", LinkSide::Tools, &args.forward)];
     for (role, side, endpoints) in sides {
         for endpoint in endpoints {
             say(&format!("{role}: {}", hub.open_on(endpoint, side).await?));
@@ -130,8 +130,11 @@ pub fn tell(notice: &Notice, hub: &Hub) {
         Notice::Found(link, system, component) => {
             tracing::info!("{}: system {system} component {component}", hub.router().name(*link));
         }
-        Notice::SetpointHeld(link) => {
-            tracing::warn!("{}: setpoints kept back, this flight has the vehicle", hub.router().name(*link));
+        Notice::SetpointSuppressed(link) => {
+            tracing::warn!(
+                "{}: setpoints not forwarded: this flight controls the vehicle",
+                hub.router().name(*link)
+            );
         }
         Notice::ModeChange(link) => {
             tracing::warn!("{}: the operator has changed the mode", hub.router().name(*link));

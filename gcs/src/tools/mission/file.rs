@@ -17,14 +17,14 @@ const FRAME_GLOBAL: u8 = 0;
 
 /// What a file holds.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Plan {
+pub struct MissionPlan {
     /// Home, if the file keeps it apart.
     pub home: Option<Item>,
     /// The items.
     pub items: Vec<Item>,
 }
 
-impl Plan {
+impl MissionPlan {
     /// What a vehicle is given: home first for those that want it so.
     #[must_use]
     pub fn items_for(&self, home_first: bool) -> Vec<Item> {
@@ -58,7 +58,7 @@ impl Plan {
         let home = self.home.or(first.copied()).map_or([0.0; 3], place);
         let items: Vec<Value> = self.items.iter().enumerate().map(|(k, item)| simple_item(k, item)).collect();
         let plan = json!({
-            "fileType": "Plan",
+            "fileType": "MissionPlan",
             "version": 1,
             "groundStation": "gcs",
             "mission": {
@@ -112,12 +112,12 @@ fn simple_item(k: usize, item: &Item) -> Value {
 }
 
 /// Reads a file of either kind.
-pub fn read(path: &Path) -> Result<Plan> {
+pub fn read(path: &Path) -> Result<MissionPlan> {
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     parse(&text).with_context(|| path.display().to_string())
 }
 
-fn parse(text: &str) -> Result<Plan> {
+fn parse(text: &str) -> Result<MissionPlan> {
     let text = text.trim_start_matches('\u{feff}');
     if text.trim_start().starts_with('{') {
         return parse_plan(text);
@@ -130,7 +130,7 @@ fn parse(text: &str) -> Result<Plan> {
     for (k, line) in lines.enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         items.push(wpl_item(line).with_context(|| format!("line {}", k + 2))?);
     }
-    Ok(Plan { home: None, items })
+    Ok(MissionPlan { home: None, items })
 }
 
 fn wpl_item(line: &str) -> Result<Item> {
@@ -178,10 +178,10 @@ struct PlanItem {
     params: Option<Vec<Option<f64>>>,
 }
 
-fn parse_plan(text: &str) -> Result<Plan> {
+fn parse_plan(text: &str) -> Result<MissionPlan> {
     let file: PlanFile = serde_json::from_str(text)?;
-    if file.file_type != "Plan" {
-        bail!("its fileType is `{}`, not Plan", file.file_type);
+    if file.file_type != "MissionPlan" {
+        bail!("its fileType is `{}`, not MissionPlan", file.file_type);
     }
     let home = match file.mission.planned_home_position.as_deref() {
         None => None,
@@ -203,7 +203,7 @@ fn parse_plan(text: &str) -> Result<Plan> {
     let items = file.mission.items.iter().enumerate();
     let items: Result<Vec<_>> =
         items.map(|(k, item)| plan_item(item).with_context(|| format!("item {k}"))).collect();
-    Ok(Plan { home, items: items? })
+    Ok(MissionPlan { home, items: items? })
 }
 
 fn plan_item(item: &PlanItem) -> Result<Item> {
@@ -263,7 +263,7 @@ mod tests {
     #[test]
     fn a_plan_keeps_home_apart_and_comes_back() {
         let flown = parse(SAMPLE).unwrap().items;
-        let plan = Plan::downloaded(flown.clone(), true);
+        let plan = MissionPlan::downloaded(flown.clone(), true);
         assert_eq!((plan.home, plan.items.len()), (Some(flown[0]), 2));
         let back = parse(&plan.to_plan()).unwrap();
         assert_eq!(back.items_for(true), flown);
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     fn null_leaves_a_param_to_the_vehicle() {
-        let text = r#"{"fileType":"Plan","mission":{"items":[{"type":"SimpleItem","command":16,
+        let text = r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"SimpleItem","command":16,
             "frame":3,"params":[0,0,0,null,47.1,8.2,30]}]}}"#;
         let plan = parse(text).unwrap();
         assert!(plan.items[0].params[3].is_nan() && plan.home.is_none());
@@ -290,11 +290,11 @@ mod tests {
             ("QGC WPL 110\n0 1 0 16 0 0 0 0 nan 8 30 1\n", "line 2: its place is not finite"),
             (r#"{"fileType":"Parameters","mission":{"items":[]}}"#, "its fileType is `Parameters`"),
             (
-                r#"{"fileType":"Plan","mission":{"items":[{"type":"ComplexItem","complexItemType":"survey"}]}}"#,
+                r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"ComplexItem","complexItemType":"survey"}]}}"#,
                 "item 0: `survey` is a pattern",
             ),
             (
-                r#"{"fileType":"Plan","mission":{"items":[{"type":"SimpleItem","command":16,"frame":3,"params":[1]}]}}"#,
+                r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"SimpleItem","command":16,"frame":3,"params":[1]}]}}"#,
                 "item 0: 1 params in place of 7",
             ),
         ] {

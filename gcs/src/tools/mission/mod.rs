@@ -18,21 +18,21 @@ use anyhow::{Result, bail};
 use clap::Subcommand;
 
 use crate::tools::fleet::Stack;
-use crate::tools::session::{Link, Session};
+use crate::tools::session::{LinkFlags, Session};
 use exchange::{Clear, Download, Upload};
-use file::Plan;
+use file::MissionPlan;
 
 /// Flags of `gcs mission`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Missions {
     #[command(flatten)]
-    link: Link,
+    link: LinkFlags,
     #[command(subcommand)]
-    action: Action,
+    action: MissionAction,
 }
 
 #[derive(Debug, Clone, Subcommand)]
-enum Action {
+enum MissionAction {
     /// Upload a mission file
     Upload {
         /// .plan (QGroundControl) or `QGC WPL 110` text
@@ -51,7 +51,7 @@ enum Action {
 pub async fn run(args: Missions) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let plan = match &args.action {
-        Action::Upload { file } => Some(file::read(file)?),
+        MissionAction::Upload { file } => Some(file::read(file)?),
         _ => None,
     };
     let mut session = Session::open(&args.link).await?;
@@ -59,7 +59,7 @@ pub async fn run(args: Missions) -> Result<()> {
     // ArduPilot's item 0 is home.
     let ardupilot = session.vehicle().is_some_and(|vehicle| vehicle.mode.stack == Stack::ArduPilot);
     match args.action {
-        Action::Upload { file } => {
+        MissionAction::Upload { file } => {
             let plan = plan.unwrap_or_default();
             let items = plan.items_for(ardupilot);
             if items.is_empty() {
@@ -69,13 +69,13 @@ pub async fn run(args: Missions) -> Result<()> {
             session.run(&mut Upload::new(items, target)).await?;
             println!("{count} items uploaded to vehicle {}", target.0);
         }
-        Action::Download { file } => {
+        MissionAction::Download { file } => {
             let items = session.run(&mut Download::new(target)).await?;
             let count = items.len();
-            Plan::downloaded(items, ardupilot).write(&file)?;
+            MissionPlan::downloaded(items, ardupilot).write(&file)?;
             println!("{count} items in {}", file.display());
         }
-        Action::Clear => {
+        MissionAction::Clear => {
             session.run(&mut Clear::new(target)).await?;
             println!("vehicle {} has no mission any more", target.0);
         }

@@ -19,7 +19,7 @@ use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::AutopilotVersion;
 
 use crate::tools::fleet::Stack;
-use crate::tools::session::{Link, Session};
+use crate::tools::session::{LinkFlags, Session};
 use exchange::{List, Param, Read, Set, Written};
 use value::{Encoding, Number};
 
@@ -27,13 +27,13 @@ use value::{Encoding, Number};
 #[derive(Debug, Clone, clap::Args)]
 pub struct Params {
     #[command(flatten)]
-    link: Link,
+    link: LinkFlags,
     #[command(subcommand)]
-    action: Action,
+    action: ParamAction,
 }
 
 #[derive(Debug, Clone, Subcommand)]
-enum Action {
+enum ParamAction {
     /// Print all parameters
     List,
     /// Print some parameters
@@ -66,31 +66,31 @@ enum Action {
 pub async fn run(args: Params) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let wanted = match &args.action {
-        Action::Load { file } => Some(file::read(file)?),
+        ParamAction::Load { file } => Some(file::read(file)?),
         _ => None,
     };
     let mut session = Session::open(&args.link).await?;
     let encoding = encoding(&mut session).await?;
     let target = session.target();
     match args.action {
-        Action::List => {
+        ParamAction::List => {
             for param in session.run(&mut List::new(target, encoding)).await? {
                 println!("{param}");
             }
         }
-        Action::Get { names } => {
+        ParamAction::Get { names } => {
             for name in names {
                 println!("{}", session.run(&mut Read::new(name, target, encoding)?).await?);
             }
         }
-        Action::Set { name, value } => {
+        ParamAction::Set { name, value } => {
             let before = session.run(&mut Read::new(name, target, encoding)?).await?;
             let value = Number::parse(&value, before.kind).with_context(|| before.name.clone())?;
             let set = set(&mut session, &before, value, encoding).await?;
             println!("{set} (was {})", before.value);
         }
-        Action::Load { .. } => load(&mut session, &wanted.unwrap_or_default(), encoding).await?,
-        Action::Save { file } => {
+        ParamAction::Load { .. } => load(&mut session, &wanted.unwrap_or_default(), encoding).await?,
+        ParamAction::Save { file } => {
             let params = session.run(&mut List::new(target, encoding)).await?;
             file::write(&file, &params, target)?;
             println!("{} parameters in {}", params.len(), file.display());

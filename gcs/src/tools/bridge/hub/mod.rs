@@ -22,9 +22,9 @@ use crpl_sitl::link::tlog::Tlog;
 use tokio::net::UdpSocket;
 use tokio::time::Instant;
 
-use super::counters::{Histogram, Row};
+use super::counters::{LatencyHistogram, LinkRow};
 use super::router::{LinkId, Notice, Router};
-use super::seal::Seal;
+use super::signer::LinkSigner;
 use super::tcp::{Streams, TcpEvent};
 
 /// Datagrams that are read from one socket before the others have their turn.
@@ -39,21 +39,21 @@ struct UdpPort {
     socket: UdpSocket,
     /// Whether others than the first peer may speak.
     open: bool,
-    side: Side,
-    peers: Vec<Peer>,
+    side: LinkSide,
+    peers: Vec<UdpPeer>,
 }
 
-/// On which side of the program an endpoint is.
+/// The side of the program that an endpoint belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
-    /// The vehicle's. With a key ([`Hub::seal_masters`]) all is signed on it.
-    Master,
-    /// That of those who share the vehicle.
-    Out,
+pub enum LinkSide {
+    /// The vehicle's side, signed after [`Hub::sign_vehicle_side`].
+    Vehicle,
+    /// The side of the tools that share the vehicle.
+    Tools,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Peer {
+struct UdpPeer {
     address: SocketAddr,
     link: LinkId,
     heard: Duration,
@@ -77,14 +77,14 @@ pub struct Hub {
     local: Option<LinkId>,
     heard: VecDeque<Vec<u8>>,
     tlog: Option<Tlog<BufWriter<File>>>,
-    seal: Option<Seal>,
-    /// Signs all that leaves to the vehicle's side, and checks all that comes from there.
-    master_seal: Option<Seal>,
-    /// The links of the vehicle's side, if they are sealed.
-    sealed: BTreeMap<LinkId, Decoder>,
+    signer: Option<LinkSigner>,
+    /// Signs all packets to the vehicle's side and checks all from there.
+    vehicle_signer: Option<LinkSigner>,
+    /// The links of the vehicle's side, if it is signed.
+    signed_links: BTreeMap<LinkId, Decoder>,
     /// TCP endpoints of the vehicle's side: how their connections' names begin.
-    master_streams: Vec<String>,
-    forward: Histogram,
+    vehicle_streams: Vec<String>,
+    forward: LatencyHistogram,
     start: Instant,
     /// When the last burst was there to be read.
     arrived: Instant,
@@ -101,11 +101,11 @@ impl Default for Hub {
             local: None,
             heard: VecDeque::new(),
             tlog: None,
-            seal: None,
-            master_seal: None,
-            sealed: BTreeMap::new(),
-            master_streams: Vec::new(),
-            forward: Histogram::default(),
+            signer: None,
+            vehicle_signer: None,
+            signed_links: BTreeMap::new(),
+            vehicle_streams: Vec::new(),
+            forward: LatencyHistogram::default(),
             start: Instant::now(),
             arrived: Instant::now(),
             buffer: vec![0; 65_536],
@@ -116,15 +116,15 @@ impl Default for Hub {
 impl Hub {
     /// Opens an endpoint; gives it with the port that the system chose, as one line to print.
     pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
-        self.open_on(endpoint, Side::Out).await
+        self.open_on(endpoint, LinkSide::Tools).await
     }
 
-    /// The same on a side; with [`Hub::seal_masters`], call that first.
-    pub async fn open_on(&mut self, endpoint: &Endpoint, side: Side) -> Result<String> {
+    /// The same on a side; with [`Hub::sign_vehicle_side`], call that first.
+    pub async fn open_on(&mut self, endpoint: &Endpoint, side: LinkSide) -> Result<String> {
         if endpoint.transport == Transport::Tcp {
             let (name, told) = self.streams.open(endpoint).await?;
-            if side == Side::Master {
-                self.master_streams.push(name);
+            if side == LinkSide::Vehicle {
+                self.vehicle_streams.push(name);
             }
             return Ok(told);
         }
@@ -135,8 +135,8 @@ impl Hub {
         if let Some(address) = peer {
             let link = self.router.add(endpoint.to_string());
             self.exits.insert(link, Exit::Udp(port, address));
-            self.seal_link(link, side, Decoder::default());
-            peers.push(Peer { address, link, heard: Duration::ZERO });
+            self.sign_link(link, side, Decoder::default());
+            peers.push(UdpPeer { address, link, heard: Duration::ZERO });
         }
         let open = endpoint.direction == Direction::In;
         let name = if open { format!("udpin:{local}") } else { endpoint.to_string() };
@@ -163,22 +163,22 @@ impl Hub {
         Ok(())
     }
 
-    /// Signs what this program says, and hears only what is signed, by the key in a file.
+    /// Signs all packets of this program and accepts only signed ones, with the key in a file.
     pub fn sign_with(&mut self, path: &Path) -> Result<()> {
-        self.seal = Some(Seal::open(path)?);
+        self.signer = Some(LinkSigner::open(path)?);
         Ok(())
     }
 
-    /// Signs what goes to the vehicle's side, and lets through from there only what is signed, by the key
-    /// in a file: those who share the vehicle need no key.
-    pub fn seal_masters(&mut self, path: &Path) -> Result<()> {
-        self.master_seal = Some(Seal::open(path)?);
+    /// Signs all packets to the vehicle's side and accepts only signed ones from there, with the key in a file.
+    /// The tools need no key.
+    pub fn sign_vehicle_side(&mut self, path: &Path) -> Result<()> {
+        self.vehicle_signer = Some(LinkSigner::open(path)?);
         Ok(())
     }
 
-    fn seal_link(&mut self, link: LinkId, side: Side, decoder: Decoder) {
-        if side == Side::Master && self.master_seal.is_some() {
-            self.sealed.insert(link, decoder);
+    fn sign_link(&mut self, link: LinkId, side: LinkSide, decoder: Decoder) {
+        if side == LinkSide::Vehicle && self.vehicle_signer.is_some() {
+            self.signed_links.insert(link, decoder);
         }
     }
 
@@ -195,13 +195,13 @@ impl Hub {
 
     fn write(&mut self, end: bool) -> Result<()> {
         self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")?;
-        [&self.seal, &self.master_seal].into_iter().flatten().try_for_each(|seal| seal.save(end))
+        [&self.signer, &self.vehicle_signer].into_iter().flatten().try_for_each(|signer| signer.save(end))
     }
 
-    /// What to keep from whom: see [`Router::hold`]. Only for a program with a link of its own.
-    pub fn hold(&mut self, vehicle: Option<u8>) {
+    /// This program alone sends setpoints to `vehicle`: see [`Router::take_control`]. `None` ends that.
+    pub fn take_control(&mut self, vehicle: Option<u8>) {
         let local = self.local();
-        self.router.hold(vehicle.map(|vehicle| (vehicle, local)));
+        self.router.take_control(vehicle.map(|vehicle| (vehicle, local)));
     }
 
     /// What has happened since the last call.
@@ -217,13 +217,13 @@ impl Hub {
 
     /// All links with their counters.
     #[must_use]
-    pub fn rows(&self) -> Vec<Row<'_>> {
-        self.router.links().map(|(name, systems, counters)| Row { name, systems, counters }).collect()
+    pub fn rows(&self) -> Vec<LinkRow<'_>> {
+        self.router.links().map(|(name, systems, counters)| LinkRow { name, systems, counters }).collect()
     }
 
     /// From reading a burst to having sent what it holds.
     #[must_use]
-    pub fn forward(&self) -> &Histogram {
+    pub fn forward(&self) -> &LatencyHistogram {
         &self.forward
     }
 
@@ -252,8 +252,8 @@ impl Hub {
     pub fn take(&mut self) -> Option<Vec<u8>> {
         loop {
             let datagram = self.heard.pop_front()?;
-            let Some(seal) = &mut self.seal else { return Some(datagram) };
-            let good = seal.check_datagram(&datagram);
+            let Some(signer) = &mut self.signer else { return Some(datagram) };
+            let good = signer.check_datagram(&datagram);
             if !good.is_empty() {
                 return Some(good);
             }
@@ -263,7 +263,7 @@ impl Hub {
     /// Sends what this program says.
     pub async fn send(&mut self, datagram: &[u8]) -> Result<()> {
         let local = self.local();
-        match self.seal.as_mut().map(|seal| seal.sign(datagram)) {
+        match self.signer.as_mut().map(|signer| signer.sign(datagram)) {
             None => self.receive(local, datagram)?,
             Some(signed) => {
                 for part in signed {
@@ -343,13 +343,13 @@ impl Hub {
             let gone = peers.swap_remove(oldest).link;
             self.router.remove(gone);
             self.exits.remove(&gone);
-            self.sealed.remove(&gone);
+            self.signed_links.remove(&gone);
         }
         let link = self.router.add(format!("{endpoint} < {address}"));
         tracing::info!("{endpoint}: {address} speaks");
-        peers.push(Peer { address, link, heard: now });
+        peers.push(UdpPeer { address, link, heard: now });
         self.exits.insert(link, Exit::Udp(port, address));
-        self.seal_link(link, side, Decoder::default());
+        self.sign_link(link, side, Decoder::default());
         Some(link)
     }
 
@@ -358,12 +358,12 @@ impl Hub {
             TcpEvent::Connected { name, writer } => {
                 tracing::info!("{name}: connected");
                 let link = self.router.add(name.clone());
-                let of_master = self.master_streams.iter().any(|of| {
+                let of_vehicle = self.vehicle_streams.iter().any(|of| {
                     name.strip_prefix(of.as_str())
                         .is_some_and(|peer| peer.is_empty() || peer.starts_with(" < "))
                 });
-                let side = if of_master { Side::Master } else { Side::Out };
-                self.seal_link(link, side, Decoder::of_stream());
+                let side = if of_vehicle { LinkSide::Vehicle } else { LinkSide::Tools };
+                self.sign_link(link, side, Decoder::of_stream());
                 self.streams.add(name, link, writer);
                 self.exits.insert(link, Exit::Tcp);
             }
@@ -377,7 +377,7 @@ impl Hub {
                 if let Some(link) = self.streams.remove(&name) {
                     self.router.remove(link);
                     self.exits.remove(&link);
-                    self.sealed.remove(&link);
+                    self.signed_links.remove(&link);
                 }
             }
         }
@@ -386,14 +386,14 @@ impl Hub {
 
     fn receive(&mut self, from: LinkId, bytes: &[u8]) -> Result<()> {
         let (now, time) = (self.elapsed(), SystemTime::now());
-        let Self { router, tlog, master_seal, sealed, .. } = self;
+        let Self { router, tlog, vehicle_signer, signed_links, .. } = self;
         let mut logged = Ok(());
         let good;
-        let bytes = match (master_seal, sealed.get_mut(&from)) {
-            (Some(seal), Some(decoder)) => {
-                let refused = seal.refused();
-                good = seal.check(decoder, bytes);
-                router.refused(from, seal.refused() - refused);
+        let bytes = match (vehicle_signer, signed_links.get_mut(&from)) {
+            (Some(signer), Some(decoder)) => {
+                let refused = signer.refused();
+                good = signer.check(decoder, bytes);
+                router.refused(from, signer.refused() - refused);
                 &good[..]
             }
             _ => bytes,
@@ -407,7 +407,7 @@ impl Hub {
     }
 
     async fn flush(&mut self) {
-        let Self { router, ports, streams, exits, heard, master_seal, sealed, .. } = self;
+        let Self { router, ports, streams, exits, heard, vehicle_signer, signed_links, .. } = self;
         let (mut failed, mut blocked) = (Vec::new(), Vec::new());
         let mut send = |link, datagram: &[u8]| match exits.get(&link) {
             Some(Exit::Local) => heard.push_back(datagram.to_vec()),
@@ -425,9 +425,9 @@ impl Hub {
             },
             None => {}
         };
-        router.flush(|link, datagram| match master_seal {
-            Some(seal) if sealed.contains_key(&link) => {
-                seal.sign(datagram).iter().for_each(|part| send(link, part));
+        router.flush(|link, datagram| match vehicle_signer {
+            Some(signer) if signed_links.contains_key(&link) => {
+                signer.sign(datagram).iter().for_each(|part| send(link, part));
             }
             _ => send(link, datagram),
         });

@@ -8,7 +8,8 @@
 //! 4. One for a system goes where that component was heard; if it was heard nowhere, where its system
 //!    was; if that was not heard either, nowhere.
 //! 5. SETUP_SIGNING holds a key and is never passed on.
-//! 6. While a flight holds the vehicle, setpoints from elsewhere stay here ([`Router::hold`]).
+//! 6. While a flight controls the vehicle, setpoints from other links are not forwarded
+//!    ([`Router::take_control`]).
 //!
 //! Frames leave byte for byte as they came, so unknown messages, both versions and signatures pass.
 //! What one link sends in a burst leaves in as few datagrams as it fits in; frames that came in one
@@ -146,8 +147,8 @@ enum Asked {
 pub enum Notice {
     /// A system and component was heard on a link for the first time.
     Found(LinkId, u8, u8),
-    /// A setpoint from this link was kept back, the first since the hold began.
-    SetpointHeld(LinkId),
+    /// A setpoint from this link was not forwarded, the first since [`Router::take_control`].
+    SetpointSuppressed(LinkId),
     /// Somebody on this link changes the vehicle's mode.
     ModeChange(LinkId),
 }
@@ -159,10 +160,10 @@ pub struct Router {
     next_link: u32,
     next_group: u64,
     pending: Vec<(Asked, LinkId, Duration)>,
-    /// System that is held, and the link from which it is flown.
-    hold: Option<(u8, LinkId)>,
-    held_back: u64,
-    /// Commands from elsewhere that would change the held vehicle's mode, until they are answered.
+    /// The controlled system, and the link that controls it.
+    control: Option<(u8, LinkId)>,
+    suppressed_setpoints: u64,
+    /// Commands from other links that would change the controlled vehicle's mode, until they are answered.
     mode_asked: Vec<(u16, LinkId)>,
     notices: Vec<Notice>,
     signing_kept: u64,
@@ -191,9 +192,9 @@ impl Router {
     }
 
     /// From now on only `by` sends setpoints to system `vehicle`; `None` ends that.
-    pub fn hold(&mut self, hold: Option<(u8, LinkId)>) {
-        self.hold = hold;
-        self.held_back = 0;
+    pub fn take_control(&mut self, control: Option<(u8, LinkId)>) {
+        self.control = control;
+        self.suppressed_setpoints = 0;
         self.mode_asked.clear();
     }
 
@@ -228,7 +229,7 @@ impl Router {
             self.signing_kept += 1;
             return false;
         }
-        if self.keeps_back(from, frame) {
+        if self.suppresses_setpoint(from, frame) {
             return false;
         }
         self.time(from, frame, now);
@@ -288,9 +289,9 @@ impl Router {
         if known { Reach::Component } else { Reach::System }
     }
 
-    /// Whether the flight that holds the vehicle keeps this frame here.
-    fn keeps_back(&mut self, from: LinkId, frame: &Frame<'_>) -> bool {
-        let Some((vehicle, pilot)) = self.hold else { return false };
+    /// Whether this frame is a setpoint that the flight in control suppresses.
+    fn suppresses_setpoint(&mut self, from: LinkId, frame: &Frame<'_>) -> bool {
+        let Some((vehicle, pilot)) = self.control else { return false };
         let Target { system, .. } = frame.target();
         if let Some(ack) = CommandAck::of(*frame).filter(|_| frame.system == vehicle) {
             self.mode_answered(&ack);
@@ -312,10 +313,10 @@ impl Router {
                 | id::RC_CHANNELS_OVERRIDE
         );
         if flies {
-            if self.held_back == 0 {
-                self.notices.push(Notice::SetpointHeld(from));
+            if self.suppressed_setpoints == 0 {
+                self.notices.push(Notice::SetpointSuppressed(from));
             }
-            self.held_back += 1;
+            self.suppressed_setpoints += 1;
         }
         flies
     }
@@ -403,10 +404,10 @@ impl Router {
             .map(|link| (link.name.as_str(), link.sources.keys().copied().collect(), &link.counters))
     }
 
-    /// Setpoints kept back since the hold began.
+    /// Setpoints suppressed since [`Router::take_control`].
     #[must_use]
-    pub fn held_back(&self) -> u64 {
-        self.held_back
+    pub fn suppressed_setpoints(&self) -> u64 {
+        self.suppressed_setpoints
     }
 
     /// SETUP_SIGNING messages that were not passed on.

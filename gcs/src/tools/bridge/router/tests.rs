@@ -215,19 +215,19 @@ fn an_answer_tells_its_link_s_round_trip() {
 fn a_held_vehicle_is_flown_from_one_link_and_its_mode_changed_from_any() {
     let (mut router, [vehicle, _, pilot, watcher]) = routed();
     router.notices();
-    router.hold(Some((1, pilot)));
+    router.take_control(Some((1, pilot)));
     let mut stranger = Sender::new(254, 190);
     assert_eq!(send(&mut router, watcher, &stranger.setpoint(1)), []);
     assert_eq!(send(&mut router, watcher, &stranger.setpoint(0)), []);
     let said = router.notices();
-    assert_eq!(said, [Notice::Found(watcher, 254, 190), Notice::SetpointHeld(watcher)], "once");
+    assert_eq!(said, [Notice::Found(watcher, 254, 190), Notice::SetpointSuppressed(watcher)], "once");
     assert_eq!(send(&mut router, watcher, &stranger.setpoint(2)).len(), 1, "another vehicle's");
     let mut flown = Sender::new(255, 190);
     flown.heartbeat();
     assert_eq!(send(&mut router, pilot, &flown.setpoint(1)), [vehicle]);
     let mode = stranger.command(MavCmd::MAV_CMD_DO_SET_MODE, 1, 1);
     assert_eq!(send(&mut router, watcher, &mode), [vehicle]);
-    assert_eq!(router.held_back(), 2);
+    assert_eq!(router.suppressed_setpoints(), 2);
     let (mut autopilot, mut ack) = (Encoder::new(1, 1), Vec::new());
     autopilot.push(&mut ack, &dialect::HEARTBEAT_DATA::default());
     for result in [dialect::MavResult::MAV_RESULT_DENIED, dialect::MavResult::MAV_RESULT_ACCEPTED] {
@@ -240,7 +240,7 @@ fn a_held_vehicle_is_flown_from_one_link_and_its_mode_changed_from_any() {
     }
     let said = router.notices();
     assert_eq!(said, [Notice::ModeChange(watcher)]);
-    router.hold(None);
+    router.take_control(None);
     assert_eq!(send(&mut router, watcher, &stranger.setpoint(1)), [vehicle]);
 }
 

@@ -1,8 +1,8 @@
-//! Message signing of what this program says and hears: `--signing-key FILE`.
+//! Message signing of what this program sends and receives: `--signing-key FILE`.
 //!
-//! With a key every frame of ours is signed, and only frames with a right signature are heard (and the
-//! radio's, which the standard excepts). What passes between others passes as it is, but for `gcs bridge
-//! --signing-key`: there the vehicle's side is signed and the other is not.
+//! With a key, every packet of this program is signed, and only packets with a valid signature are accepted
+//! (and RADIO_STATUS, which the standard excepts). Packets between other peers pass unchanged, except in
+//! `gcs bridge --signing-key`: it signs the vehicle's side and leaves the tools' side unsigned.
 
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -14,38 +14,38 @@ use crpl_sitl::link::signing::{Policy, Signing, Store, timestamp};
 /// The link id in our signatures.
 const LINK: u8 = 0;
 
-/// Key and timestamps, and the file in which they are kept.
+/// Signs and checks packets with a key; keeps key and timestamps in a file.
 #[derive(Debug)]
-pub struct Seal {
+pub struct LinkSigner {
     signing: Signing,
     store: Store,
     decoder: Decoder,
 }
 
-impl Seal {
+impl LinkSigner {
     /// The key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     pub fn open(path: &Path) -> Result<Self> {
         let store = Store::new(path);
         let signing = store.load(Policy::Required)?;
         ensure!(signing.is_on(), "--signing-key: there is no key in {}", path.display());
-        // Until the end is written, a restart counts on timestamps that were not.
+        // A restart before the final save continues from a later timestamp than any used.
         store.save(&signing, false)?;
         Ok(Self { signing, store, decoder: Decoder::default() })
     }
 
-    /// A datagram of ours, signed, in as many as it then needs.
+    /// Signs a datagram; the result may need several datagrams.
     pub fn sign(&mut self, datagram: &[u8]) -> Vec<Vec<u8>> {
         self.signing.sign(datagram.to_vec(), LINK, now())
     }
 
-    /// The frames of a datagram that are signed as they must be.
+    /// The packets of a datagram with a valid signature.
     pub fn check_datagram(&mut self, datagram: &[u8]) -> Vec<u8> {
         let packets = self.decoder.datagram(datagram);
         self.signed(&packets)
     }
 
-    /// The same of what has come on a link with a decoder of its own. A message that the dialect does not
-    /// know is not among them: its checksum cannot be told.
+    /// The same for bytes of a link that has a decoder of its own. Messages that the dialect does not know are
+    /// left out: their checksum cannot be verified.
     pub fn check(&mut self, decoder: &mut Decoder, bytes: &[u8]) -> Vec<u8> {
         self.signed(&decoder.datagram(bytes))
     }
@@ -63,19 +63,19 @@ impl Seal {
         good
     }
 
-    /// Frames refused so far.
+    /// Number of packets refused so far.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.signing.rejected().values().sum()
     }
 
-    /// Writes the timestamps; at the `end`, no later ones are to be reckoned with.
+    /// Saves the timestamps; `end`: no later ones follow.
     pub fn save(&self, end: bool) -> Result<()> {
         Ok(self.store.save(&self.signing, end)?)
     }
 }
 
-/// A clock before 1970 is no clock; the newest timestamp then counts on.
+/// Before 1970 the clock is unset; the newest timestamp then counts on.
 #[expect(clippy::disallowed_methods, reason = "MAVLink's signatures carry the wall's time")]
 fn now() -> u64 {
     timestamp(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
@@ -88,18 +88,18 @@ mod tests {
 
     use super::*;
 
-    fn seal(folder: &Path, name: &str, passphrase: &str) -> Seal {
+    fn signer(folder: &Path, name: &str, passphrase: &str) -> LinkSigner {
         let path = folder.join(name);
         std::fs::write(&path, format!("passphrase = \"{passphrase}\"\n")).unwrap();
-        Seal::open(&path).unwrap()
+        LinkSigner::open(&path).unwrap()
     }
 
     #[test]
     fn what_one_key_signs_another_refuses_and_nothing_passes_twice() {
         let folder = tempfile::tempdir().unwrap();
-        let mut ours = seal(folder.path(), "ours", "secret");
-        let mut theirs = seal(folder.path(), "theirs", "secret");
-        let mut stranger = seal(folder.path(), "stranger", "another");
+        let mut ours = signer(folder.path(), "ours", "secret");
+        let mut theirs = signer(folder.path(), "theirs", "secret");
+        let mut stranger = signer(folder.path(), "stranger", "another");
         let mut datagram = Vec::new();
         Encoder::new(255, 190).push(&mut datagram, &HEARTBEAT_DATA::default());
         let signed = ours.sign(&datagram).concat();
@@ -110,7 +110,7 @@ mod tests {
         ours.save(true).unwrap();
         let text = std::fs::read_to_string(folder.path().join("ours")).unwrap();
         assert!(text.contains("clean = true"), "{text}");
-        let error = Seal::open(&folder.path().join("nowhere")).unwrap_err().to_string();
+        let error = LinkSigner::open(&folder.path().join("nowhere")).unwrap_err().to_string();
         assert!(error.contains("there is no key"), "{error}");
     }
 }

@@ -1,31 +1,22 @@
-//! The folder that a flight leaves behind: records, tlog, plot, and beside them the resolved config,
-//! seed and revision; and the summary that is printed.
+//! One flight over a link in numbers, and flights side by side as the table that is printed.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
-
-use anyhow::{Context, Result};
-use crpl_model::evaluation::chart;
 use crpl_model::numeric::statistics::quantile;
-use crpl_sitl::Scenario;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
-use crpl_sitl::sim::record::Record;
 use serde::Serialize;
 
-use crate::flight::{Ended, Flight};
-use crate::lab::figures::FlightPath;
+use crate::flight::{Flight, FlightEnd};
 use crate::station::Station;
 use crate::station::pilot::Controller;
 
-/// One flight in figures.
+/// One flight in numbers.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
-    /// Who flew.
+    /// The controller that flew.
     pub controller: Controller,
     /// The scenario's name.
     pub scenario: String,
-    /// Seed of the disturbance; `None` if the vehicle was not started by us.
+    /// Seed of the gusts; `None` if another process started the vehicle.
     pub seed: Option<u64>,
     /// Its score.
     #[serde(flatten)]
@@ -42,7 +33,7 @@ pub struct Summary {
     pub frames_lost: u64,
     /// Whether the flight ended because the operator took the vehicle over.
     pub taken_over: bool,
-    /// Setpoints of others that were kept from the vehicle.
+    /// Setpoints of other stations that were not forwarded to the vehicle.
     pub setpoints_held_back: u64,
 }
 
@@ -73,61 +64,10 @@ impl Summary {
             latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
             real_time_factor: simulated / flight.wall.as_secs_f64(),
             frames_lost: flight.lost,
-            taken_over: flight.ended == Ended::TakenOver,
-            setpoints_held_back: flight.held_back,
+            taken_over: flight.ended == FlightEnd::TakenOver,
+            setpoints_held_back: flight.suppressed_setpoints,
         })
     }
-}
-
-/// Where a result comes from.
-#[derive(Debug, Serialize)]
-struct Provenance<'a> {
-    controller: Controller,
-    seed: Option<u64>,
-    revision: &'static str,
-    version: &'static str,
-    command: Vec<String>,
-    summary: &'a Summary,
-}
-
-/// Writes the resolved scenario, before the flight begins.
-pub fn begin(dir: &Path, scenario: &Scenario) -> Result<PathBuf> {
-    std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-    let path = dir.join("config.toml");
-    std::fs::write(&path, toml::to_string(scenario)?)
-        .with_context(|| format!("writing {}", path.display()))?;
-    Ok(path)
-}
-
-/// Writes records, plot and provenance once the flight is over.
-pub fn end(dir: &Path, summary: &Summary, records: &[Record], scenario: &Scenario) -> Result<()> {
-    write_records(&dir.join("record.jsonl"), records)?;
-    let d_f = summary.score[Metric::TerminalDistance];
-    let title = format!("{}, {}, d_f {d_f:.3}", summary.controller, scenario.name);
-    let path = FlightPath { title, records, scenario, size: FlightPath::ALONE };
-    chart::save(&path, dir, "path")?;
-    let provenance = Provenance {
-        controller: summary.controller,
-        seed: summary.seed,
-        revision: crate::revision(),
-        version: env!("CARGO_PKG_VERSION"),
-        command: std::env::args().collect(),
-        summary,
-    };
-    let path = dir.join("run.json");
-    let text = serde_json::to_string_pretty(&provenance)? + "\n";
-    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
-}
-
-/// One line per interval.
-pub fn write_records(path: &Path, records: &[Record]) -> Result<()> {
-    let context = || format!("writing {}", path.display());
-    let mut file = std::io::BufWriter::new(std::fs::File::create(path).with_context(context)?);
-    for record in records {
-        serde_json::to_writer(&mut file, record).with_context(context)?;
-        file.write_all(b"\n").with_context(context)?;
-    }
-    file.flush().with_context(context)
 }
 
 /// Flights side by side, for people.
@@ -169,7 +109,7 @@ pub fn table(flights: &[Summary]) -> String {
     }
     for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {
         let count = flight.setpoints_held_back;
-        text += &format!("{}: {count} setpoints of others kept from the vehicle\n", flight.controller);
+        text += &format!("{}: {count} setpoints of other stations not forwarded\n", flight.controller);
     }
     text
 }
