@@ -238,8 +238,8 @@ impl Guide {
         match news {
             News::Found(id, mode, _) if self.system.is_none_or(|system| system == id) => {
                 let expected = match self.foreign.stack {
-                    ForeignStack::Ardupilot => fleet::ForeignStack::ArduPilot,
-                    ForeignStack::Px4 => fleet::ForeignStack::Px4,
+                    ForeignStack::Ardupilot => fleet::Stack::ArduPilot,
+                    ForeignStack::Px4 => fleet::Stack::Px4,
                 };
                 self.say(news.to_string());
                 if mode.stack != expected {
@@ -266,7 +266,7 @@ impl Guide {
     fn ask_for_streams(&mut self, system: u8, now: Duration) {
         let params = [LOCAL_POSITION_NED_DATA::ID as f32, REPORT_US];
         let ask = CommandRequest::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
-        self.commands.ask(ask, now);
+        self.commands.request(ask, now);
     }
 
     /// Somebody else flies from now on.
@@ -425,7 +425,7 @@ impl Guide {
         self.retry = None;
         let mut all = [0.0; 7];
         all[..params.len()].copy_from_slice(params);
-        self.commands.ask(CommandRequest { command, params: all, target: (system, AUTOPILOT) }, now);
+        self.commands.request(CommandRequest { command, params: all, target: (system, AUTOPILOT) }, now);
     }
 
     fn control_mode(&self) -> [f32; 2] {
