@@ -355,7 +355,7 @@ mod tests {
         let address = socket.local_addr().unwrap();
         let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
         tokio::spawn(async move {
-            let mut shell = crpl_sitl::program::shell::FlightShell::new(socket, vehicle, None);
+            let mut shell = crpl_sitl::program::shell::Shell::new(socket, vehicle, None);
             if lockstep { shell.lockstep().await } else { shell.real_time(Duration::from_millis(10)).await }
         });
         address

@@ -188,7 +188,7 @@ impl Session {
                 self.hub.send(&datagram).await?;
             }
             while let Some((done, result)) = self.commands.take() {
-                if done == ask {
+                if done == request {
                     return Ok((result, heard));
                 }
             }
