@@ -5,6 +5,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use crpl_sitl::program::files::write_whole;
 use nalgebra::SMatrix;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
@@ -87,12 +88,12 @@ pub fn read(path: &Path) -> Result<Vec<u8>, TensorError> {
     std::fs::read(path).map_err(TensorError::file(path))
 }
 
-/// Writes a file in one go: first beside it, then over it, so that Ctrl-C leaves no half of one.
+/// Writes a file in one go ([`write_whole`]).
+///
+/// # Errors
+/// [`TensorError::File`] if it cannot be written.
 pub fn write_all(path: &Path, bytes: &[u8]) -> Result<(), TensorError> {
-    let beside = path.with_extension("part");
-    std::fs::write(&beside, bytes)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .map_err(TensorError::file(path))
+    write_whole(path, bytes).map_err(TensorError::file(path))
 }
 
 /// A value that is a set of named tensors.
