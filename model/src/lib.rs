@@ -18,7 +18,6 @@
 //!
 //! What needs burn comes with the cargo feature `train`, which the `model` program has and a ground
 //! station does without.
-#![allow(rustdoc::broken_intra_doc_links, reason = "shapes are written [rows, columns]")]
 
 pub mod encoder;
 pub mod evaluation;

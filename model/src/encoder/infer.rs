@@ -28,7 +28,7 @@ pub struct Latent {
 /// The trunk's answer to one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
-    /// h, [256].
+    /// h, `[256]`.
     pub h: Vec<f32>,
     /// q, the share of a colour's disc that is cut or hidden: red, green, blue.
     pub missing: [f32; CHANNELS],
@@ -44,7 +44,7 @@ pub struct Encoder {
     head_u: Packed,
 }
 
-/// Weight as [tap][block of outputs][input][BLOCK] and bias [outputs].
+/// Weight as `[tap][block of outputs][input][BLOCK]` and bias `[outputs]`.
 #[derive(Debug, Clone)]
 struct Packed {
     w: Vec<f32>,
@@ -53,7 +53,7 @@ struct Packed {
 }
 
 impl Encoder {
-    /// Packs the weights. Their shapes must be those of [`Weights::initial`].
+    /// Packs the weights. Their shapes must be those of [`Weights::structured_init`].
     #[must_use]
     pub fn new(weights: Weights) -> Self {
         let convs = std::array::from_fn(|n| Packed::conv(&weights.convs[n], &CONVS[n]));
@@ -169,7 +169,7 @@ fn trunk(rgb: &[u8], input: &Input, convs: &[Packed; 4], fc: &Packed, h: &mut [f
     missing
 }
 
-/// The frame as the trunk reads it, [SIDE²][3], and q.
+/// The frame as the trunk reads it, `[SIDE²][3]`, and q.
 #[inline(always)]
 fn scaled(rgb: &[u8], input: &Input) -> (Vec<f32>, [f32; CHANNELS]) {
     let mut sums = [0u32; CHANNELS];
@@ -206,7 +206,7 @@ fn unmixed(rgb: &[u8], input: &Input, colour: &Colour) -> (Vec<f32>, [f32; CHANN
     (x, missing)
 }
 
-/// One convolution with LeakyReLU: [grid_in²][inputs] -> [grid_out²][outputs].
+/// One convolution with LeakyReLU: `[grid_in²][inputs]` -> `[grid_out²][outputs]`.
 #[inline(always)]
 fn convolve(x: &[f32], shape: &ConvShape, layer: &Packed) -> Vec<f32> {
     let ConvShape { inputs, outputs, kernel, stride, padding, grid_in, grid_out } = *shape;
@@ -240,7 +240,7 @@ fn convolve(x: &[f32], shape: &ConvShape, layer: &Packed) -> Vec<f32> {
     y
 }
 
-/// y += x W, W as [block][input][BLOCK]. The order of the sum is that of the inputs.
+/// y += x W, W as `[block][input][BLOCK]`. The order of the sum is that of the inputs.
 #[inline(always)]
 fn accumulate(x: &[f32], w: &[f32], y: &mut [f32]) {
     for (y, w) in y.chunks_exact_mut(BLOCK).zip(w.chunks_exact(x.len() * BLOCK)) {

@@ -66,18 +66,18 @@ fn ndarray() -> Result<Device, NoBackend> {
 /// Frames as the network reads them.
 #[derive(Debug, Clone)]
 pub struct Batch {
-    /// [batch, 3, 100, 100], scaled by [`Input`], or in 0..=1 where a colour layer comes first.
+    /// `[batch, 3, 100, 100]`, scaled by [`Input`], or in 0..=1 where a colour layer comes first.
     pub frames: Tensor<4>,
-    /// q, the missing share of each colour: [batch, 3]. A colour layer finds its own.
+    /// q, the missing share of each colour: `[batch, 3]`. A colour layer finds its own.
     pub missing: Tensor<2>,
 }
 
 /// What the trunk makes of a batch.
 #[derive(Debug, Clone)]
 pub struct Trunk {
-    /// h, [batch, 256].
+    /// h, `[batch, 256]`.
     pub h: Tensor<2>,
-    /// q, the missing share of each colour, [batch, 3].
+    /// q, the missing share of each colour, `[batch, 3]`.
     pub missing: Tensor<2>,
 }
 
@@ -180,7 +180,7 @@ impl EncoderModule {
         Trunk { h, missing }
     }
 
-    /// z_c and z_u of a batch, [batch, 16] each.
+    /// z_c and z_u of a batch, `[batch, 16]` each.
     #[must_use]
     pub fn forward(&self, batch: &Batch) -> (Tensor<2>, Tensor<2>) {
         let Trunk { h, missing } = self.trunk(batch);
@@ -210,8 +210,8 @@ impl EncoderModule {
         self
     }
 
-    /// The colour layer, then each channel over its own mass: [batch, 3, 100, 100] in 0..=1 to the
-    /// trunk's input, and q [batch, 3].
+    /// The colour layer, then each channel over its own mass: `[batch, 3, 100, 100]` in 0..=1 to the
+    /// trunk's input, and q `[batch, 3]`.
     fn unmixed(&self, layer: &Linear, batch: &Batch) -> (Tensor<4>, Tensor<2>) {
         let [count, ..] = batch.frames.dims();
         let pixels = batch.frames.clone().reshape([count, CHANNELS, SIDE * SIDE]);
@@ -333,7 +333,7 @@ fn conv_from(layer: &Layer, shape: &ConvShape, device: &Device) -> Conv2d {
     conv
 }
 
-/// burn keeps a linear layer as [in, out].
+/// burn keeps a linear layer as `[in, out]`.
 fn linear_from(layer: &Layer, device: &Device) -> Linear {
     let (outputs, inputs) = (layer.shape[0], layer.shape[1]);
     let mut linear =

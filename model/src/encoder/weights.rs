@@ -63,14 +63,14 @@ pub const CONVS: [ConvShape; 4] = [
 /// Length of the pooled trunk: 128 channels on a 5x5 grid.
 pub const POOLED: usize = 128 * 5 * 5;
 
-/// Weight and bias of a convolution [out, in, k, k] or a linear layer [out, in], row-major.
+/// Weight and bias of a convolution `[out, in, k, k]` or a linear layer `[out, in]`, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
     /// Shape of `w`.
     pub shape: Vec<usize>,
     /// Weight.
     pub w: Vec<f32>,
-    /// Bias, [out].
+    /// Bias, `[out]`.
     pub b: Vec<f32>,
 }
 
@@ -100,7 +100,7 @@ pub struct Input {
 /// noise vanish before a lever arm multiplies them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Colour {
-    /// W, [out][RGB].
+    /// W, `[out][RGB]`.
     pub w: [[f32; CHANNELS]; 2],
     /// b
     pub b: [f32; 2],
@@ -184,10 +184,10 @@ pub struct Weights {
     pub convs: [Layer; 4],
     /// 3200 -> 256, without activation.
     pub fc: Layer,
-    /// To z_c: [16, 256], or [16, 512] where q h stands beside h, q being the missing share of the
+    /// To z_c: `[16, 256]`, or `[16, 512]` where q h stands beside h, q being the missing share of the
     /// UAV's mass.
     pub head_c: Layer,
-    /// To z_u: [16, 256].
+    /// To z_u: `[16, 256]`.
     pub head_u: Layer,
 }
 
@@ -331,7 +331,7 @@ fn triangle_layer(shape: &ConvShape, mix: f64, first: bool, rng: &mut impl Rng) 
     layer
 }
 
-/// A random 2-plane of R^16: two orthonormal columns, E [16][2].
+/// A random 2-plane of R^16: two orthonormal columns, E `[16][2]`.
 #[must_use]
 pub fn random_plane(noise: &Noise, index: u64) -> [[f32; 2]; LATENT] {
     let mut rng = noise.generator(Stream::Weights, index);

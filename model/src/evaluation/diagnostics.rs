@@ -179,7 +179,7 @@ impl Diagnostics {
 }
 
 impl LatentStats {
-    /// Diagnostics of a half, [frames][16], with the positions of its own and the other body. `gauge` is
+    /// Diagnostics of a half, `[frames][16]`, with the positions of its own and the other body. `gauge` is
     /// the standard deviation that the half should have in all.
     #[must_use]
     pub fn new(z: &[[f32; LATENT]], own: &[Vector2<f64>], other: &[Vector2<f64>], gauge: f64) -> Self {

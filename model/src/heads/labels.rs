@@ -78,7 +78,7 @@ impl Scene {
     }
 }
 
-/// UAV anywhere in [0,1]², obstacle anywhere that its walls allow.
+/// UAV anywhere in `[0,1]`², obstacle anywhere that its walls allow.
 #[must_use]
 pub fn uniform_scene(scenario: &Scenario, rng: &mut impl Rng) -> Scene {
     let mut place = |margin: f64| margin + (1.0 - 2.0 * margin) * rng.random::<f64>();

@@ -21,14 +21,14 @@ pub const COLLISION_WIDTHS: [usize; 4] = [6, 64, 64, 1];
 /// Widths of the channel head: coordinates of the sight line in.
 pub const GAIN_WIDTHS: [usize; 4] = [4, 64, 64, 1];
 
-/// Factor on s_BS - ½: the base station's coordinates are uniform in [0, 1] in training, with the
+/// Factor on s_BS - ½: the base station's coordinates are uniform in `[0, 1]` in training, with the
 /// standard deviation 1/√12.
 const STATION_SCALE: f32 = 3.464_101_6;
 
 /// Both heads as they are trained and stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Heads {
-    /// [scale_c y_c, scale_u y_u, √12 (s_BS - ½)] to the logit of the collision probability.
+    /// `[scale_c y_c, scale_u y_u, √12 (s_BS - ½)]` to the logit of the collision probability.
     pub collision: Mlp,
     /// [`SightLine`] coordinates to (ln |h|² - gain_mean) / gain_std.
     pub gain: Mlp,
@@ -109,7 +109,7 @@ fn place(station: Vector2<f64>) -> [f32; 2] {
 /// Both heads for one base station.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StationHeads {
-    /// [y_c, y_u] to the logit of the collision probability.
+    /// `[y_c, y_u]` to the logit of the collision probability.
     pub collision: Mlp,
     /// [`SightLine`] coordinates to ln |h|².
     pub gain: Mlp,

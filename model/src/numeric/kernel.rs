@@ -87,7 +87,7 @@ pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
-/// y = x W + b for all lanes: `w` row-major [inputs][outputs], `x` [inputs], `y` [outputs].
+/// y = x W + b for all lanes: `w` row-major `[inputs][outputs]`, `x` `[inputs]`, `y` `[outputs]`.
 pub fn affine(w: &[f32], b: &[f32], x: &[Lane], y: &mut [Lane]) {
     Arch::new().dispatch(AffineKernel { w, b, x, y });
 }
@@ -197,7 +197,7 @@ impl WithSimd for Outer<'_> {
     }
 }
 
-/// Sum of every lane, added to `db` [outputs], over all blocks of `dy`.
+/// Sum of every lane, added to `db` `[outputs]`, over all blocks of `dy`.
 #[inline(always)]
 pub fn sum_lanes(dy: &[Lane], db: &mut [f32]) {
     for block in dy.chunks_exact(db.len()) {
@@ -207,7 +207,7 @@ pub fn sum_lanes(dy: &[Lane], db: &mut [f32]) {
     }
 }
 
-/// W transposed: `w` [rows][columns] row-major to [columns][rows].
+/// W transposed: `w` `[rows][columns]` row-major to `[columns][rows]`.
 #[must_use]
 pub fn transpose(w: &[f32], columns: usize) -> Vec<f32> {
     let rows = w.len() / columns;

@@ -15,9 +15,9 @@ pub struct Dense {
     pub inputs: usize,
     /// Length of y.
     pub outputs: usize,
-    /// W, row-major [inputs][outputs].
+    /// W, row-major `[inputs][outputs]`.
     pub w: Vec<f32>,
-    /// b, [outputs].
+    /// b, `[outputs]`.
     pub b: Vec<f32>,
 }
 

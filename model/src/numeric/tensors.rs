@@ -132,7 +132,7 @@ impl Writer {
         self.f64(name, &[R, C], matrix.transpose().iter().copied());
     }
 
-    /// Adds `{name}.{n}.weight` [out, in] and `{name}.{n}.bias` for every layer.
+    /// Adds `{name}.{n}.weight` `[out, in]` and `{name}.{n}.bias` for every layer.
     pub fn mlp(&mut self, name: &str, mlp: &Mlp) {
         for (n, layer) in mlp.layers.iter().enumerate() {
             let (inputs, outputs) = (layer.inputs, layer.outputs);

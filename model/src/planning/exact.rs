@@ -36,7 +36,7 @@ impl Exact {
         Self { quantity, probe, scenario }
     }
 
-    /// Its value for [y_c, y_u].
+    /// Its value for `[y_c, y_u]`.
     fn at(&self, y: [f64; 4]) -> f64 {
         let s = &self.scenario;
         let uav = self.probe.c.apply(Vector2::new(y[0], y[1]));

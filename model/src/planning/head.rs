@@ -48,7 +48,7 @@ impl Head {
     }
 }
 
-/// A network, MLP 4-64-64-1 (scales and constants folded in) on [y_c, y_u] or on their
+/// A network, MLP 4-64-64-1 (scales and constants folded in) on `[y_c, y_u]` or on their
 /// coordinates of the sight line.
 #[derive(Debug, Clone)]
 struct Learned {
@@ -100,7 +100,7 @@ impl Learned {
         dy
     }
 
-    /// What the network reads of [y_c, y_u].
+    /// What the network reads of `[y_c, y_u]`.
     #[inline(always)]
     fn input(&self, y: &[Lane; 4]) -> [Lane; 4] {
         let Some(sight) = &self.sight else { return *y };

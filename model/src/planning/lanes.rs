@@ -51,7 +51,7 @@ pub(crate) fn probabilities(net: &Mlp, x: &[Lane], h1: &mut [Lane], h2: &mut [La
 
 /// A policy network's transposed weights, for the way back.
 pub(crate) struct Back {
-    /// First layer, [hidden][features].
+    /// First layer, `[hidden][features]`.
     pub(crate) w1: Vec<f32>,
     w2: Vec<f32>,
     w3: Vec<f32>,

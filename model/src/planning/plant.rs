@@ -95,10 +95,11 @@ pub struct Draws {
     /// The y_u that the policy reads, if it is not the first obstacle's own: one that was trained beside a
     /// standing obstacle has learned nothing of others.
     pub reported_obstacle: Option<[f32; 2]>,
-    /// (kick/a_max) w_k, one [Lane; 2] an interval; its length is the horizon H.
+    /// (kick/a_max) w_k, one `[Lane; 2]` an interval; its length is the horizon H.
     pub wind: Vec<[Lane; 2]>,
     /// Motions of the first intervals that are not the policy's, one row an interval; for
-    /// [`evaluate`] alone, [`gradient`] takes them for the policy's own.
+    /// [`evaluate`](crate::planning::objective::evaluate) alone,
+    /// [`gradient`](crate::planning::objective::gradient) takes them for the policy's own.
     pub opening: Vec<[Option<[f32; 2]>; LANES]>,
 }
 

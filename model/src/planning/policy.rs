@@ -27,7 +27,7 @@ pub const MOTION_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 5];
 /// Widths of π_p: two hidden layers of 64, two powers (Sec. IV-A5).
 pub const POWER_WIDTHS: [usize; 4] = [FEATURES, 64, 64, 2];
 
-/// The policies' view of M = 2 latents: [2 y_c/S, (y_c - y_c')/(S v_max), y_u/2].
+/// The policies' view of M = 2 latents: `[2 y_c/S, (y_c - y_c')/(S v_max), y_u/2]`.
 ///
 /// `y_c`, `y_c_before` and `y_u` are plane coordinates, `scale` is S (latent units per unit of
 /// length), `v_max` in units per interval.
@@ -146,7 +146,7 @@ impl Policies {
         (Motion::nearest(self.mean_motion(x)), power)
     }
 
-    /// Writes both networks as `motion.N.weight`, `motion.N.bias`, `power.…` (weights [in, out]).
+    /// Writes both networks as `motion.N.weight`, `motion.N.bias`, `power.…` (weights `[in, out]`).
     pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
         let mut bytes: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
         let raw = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();

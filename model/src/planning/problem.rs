@@ -41,7 +41,7 @@ pub struct PlanningProblem {
     starts: Vec<([f32; 2], [f32; 2])>,
     /// y_u where the obstacle stands.
     pub(super) obstacle: [f32; 2],
-    /// y_u of the displaced obstacles: [below: +y, above: -y][displacement].
+    /// y_u of the displaced obstacles: `[below: +y, above: -y][displacement]`.
     pub(super) displaced: [Vec<[f32; 2]>; 2],
     /// kick / a_max
     wind: f32,

@@ -189,7 +189,7 @@ fn drift(
     u
 }
 
-/// [y_c, y_u] of one obstacle.
+/// `[y_c, y_u]` of one obstacle.
 #[inline(always)]
 fn pair(y: &[Lane; 2], u: &[Lane; 2]) -> [Lane; 4] {
     [y[0], y[1], u[0], u[1]]
@@ -244,7 +244,7 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut RolloutTrace)
 const NEGLIGIBLE: f32 = 1e-7;
 
 /// Gradient of the whole of J with respect to each y_k (k = 0..=H) through cost and heads, and not
-/// through the policy: [Lane; 2] each.
+/// through the policy: `[Lane; 2]` each.
 #[inline(always)]
 fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &RolloutTrace) -> Vec<[Lane; 2]> {
     let horizon = t.a.len();

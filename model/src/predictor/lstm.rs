@@ -8,7 +8,7 @@ use crate::numeric::tensors::{Reader, TensorError, Writer};
 use crate::predictor::linear::Pair;
 use crate::predictor::residual::{Cell, INPUTS, layer_gradient, row, times};
 
-/// One LSTM layer: gates i, f, g, o from [x, h], and a linear output.
+/// One LSTM layer: gates i, f, g, o from `[x, h]`, and a linear output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lstm {
     /// `[x, h]` to the four gates, `[INPUTS + n][4 n]`.
@@ -17,14 +17,14 @@ pub struct Lstm {
     pub out: Dense,
 }
 
-/// h and c, and what the backward pass reads again, [step * width].
+/// h and c, and what the backward pass reads again, `[step * width]`.
 #[derive(Debug, Clone, Default)]
 pub struct LstmMemory {
     /// Steps forward that were not taken back.
     steps: usize,
     gates_transposed: Vec<f32>,
     out_transposed: Vec<f32>,
-    /// [x_k, h_{k-1}], and the slopes before the gates' activations.
+    /// `[x_k, h_{k-1}]`, and the slopes before the gates' activations.
     inputs: Vec<Lane>,
     slopes: Vec<Lane>,
     /// i, f, g, o after their activations.

@@ -12,7 +12,7 @@ use crate::predictor::residual::{Cell, INPUTS, layer_gradient, row, times};
 #[derive(Debug, Clone, PartialEq)]
 pub struct SiluMlp(pub Mlp);
 
-/// What the backward pass reads again, [layer][step * width].
+/// What the backward pass reads again, `[layer][step * width]`.
 #[derive(Debug, Clone, Default)]
 pub struct MlpMemory {
     /// Steps forward that were not taken back.

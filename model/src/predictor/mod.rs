@@ -132,7 +132,7 @@ impl Predictor {
         states[0][0]
     }
 
-    /// One step of at most [`LANES`] rollouts, each given as [y_k, y_{k-1}], in place.
+    /// One step of at most [`LANES`] rollouts, each given as `[y_k, y_{k-1}]`, in place.
     fn advance(
         &self,
         memory: &mut Memory,

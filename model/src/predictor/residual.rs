@@ -58,7 +58,7 @@ pub struct Residual<C> {
 }
 
 impl<C: Cell> Residual<C> {
-    /// y_{k+1} of at most [`LANES`] rollouts in f64, each given as [y_k, y_{k-1}], in place.
+    /// y_{k+1} of at most [`LANES`] rollouts in f64, each given as `[y_k, y_{k-1}]`, in place.
     pub fn advance(
         &self,
         memory: &mut C::Memory,

@@ -23,7 +23,7 @@ pub struct Triples {
 /// A head on its plane: y = W'x - offset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Readout {
-    /// W, [features, 2].
+    /// W, `[features, 2]`.
     pub w: DMatrix<f64>,
     /// W' mean(x).
     pub offset: Vector2<f64>,
@@ -157,7 +157,7 @@ impl Readout {
 enum Expansion {
     /// x = h
     Plain,
-    /// x = [h ; q h], q the missing share of the UAV's mass.
+    /// x = `[h ; q h]`, q the missing share of the UAV's mass.
     Gated,
 }
 

@@ -24,7 +24,7 @@ use crate::world_model::card::FitCheck;
 use crate::world_model::config::TrainConfig;
 use crate::world_model::dataset::{self, EDGE_BAND, Episode, Triple};
 
-/// E_c and E_u, [16][2] each.
+/// E_c and E_u, `[16][2]` each.
 pub type Planes = [[[f32; 2]; LATENT]; 2];
 
 /// Where the frames come from.

@@ -79,7 +79,7 @@ struct Network {
 }
 
 impl Network {
-    /// x [batch, inputs] -> [batch, 1].
+    /// x `[batch, inputs]` -> `[batch, 1]`.
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         self.last.forward(tanh(self.second.forward(tanh(self.first.forward(x)))))
     }

@@ -18,7 +18,7 @@ pub struct Anchors {
 }
 
 impl Anchors {
-    /// `planes` are E_c and E_u, [16][2]; `scale` is S.
+    /// `planes` are E_c and E_u, `[16][2]`; `scale` is S.
     #[must_use]
     pub fn new(planes: &[[[f32; 2]; LATENT]; 2], scale: f64, device: &Device) -> Self {
         let [plane_c, plane_u] = planes.each_ref().map(|plane| {
@@ -31,18 +31,18 @@ impl Anchors {
 /// Latents of n triples: the first half of them with long lags, the second half with short ones.
 #[derive(Debug, Clone)]
 pub struct Views {
-    /// z_c of the three frames, [n, 16] each, oldest first.
+    /// z_c of the three frames, `[n, 16]` each, oldest first.
     pub c: [Tensor<2>; 3],
     /// z_u of the same.
     pub u: [Tensor<2>; 3],
-    /// The target encoder's latents of the last frame, without gradient: [n, 16] each.
+    /// The target encoder's latents of the last frame, without gradient: `[n, 16]` each.
     pub target: [Tensor<2>; 2],
-    /// S a_max times the actions' response: [n, 2].
+    /// S a_max times the actions' response: `[n, 2]`.
     pub response: Tensor<2>,
 }
 
 impl Views {
-    /// From latents [3n, 16] that hold all first frames, then all second, then all third ones.
+    /// From latents `[3n, 16]` that hold all first frames, then all second, then all third ones.
     #[must_use]
     pub fn new(
         z_c: Tensor<2>,
@@ -85,7 +85,7 @@ impl GradientPredictors {
         self.learned.iter().flatten()
     }
 
-    /// ẑ_c and ẑ_u of the last frames, [n, 16] each.
+    /// ẑ_c and ẑ_u of the last frames, `[n, 16]` each.
     fn predict(&self, views: &Views, anchors: &Anchors) -> [Tensor<2>; 2] {
         let [c0, c1, _] = views.c.clone();
         let [u0, u1, _] = views.u.clone();
@@ -149,7 +149,7 @@ impl Running {
 /// A loss to go down on, and its parts for the eye.
 #[derive(Debug, Clone)]
 pub struct LossValue {
-    /// The scalar, [1].
+    /// The scalar, `[1]`.
     pub loss: Tensor<1>,
     /// Rms prediction error of z_c a coordinate, px.
     pub error_c_px: f64,
@@ -232,7 +232,7 @@ fn loss_value(loss: Tensor<1>, c: &Tensor<1>, u: &Tensor<1>) -> LossValue {
     LossValue { loss, error_c_px: 100.0 * rms(c), error_u: rms(u) }
 }
 
-/// Squared distance, [n, 16] -> [n, 1].
+/// Squared distance, `[n, 16]` -> `[n, 1]`.
 fn error(a: Tensor<2>, b: Tensor<2>) -> Tensor<2> {
     (a - b).square().sum_dim(1)
 }
@@ -248,7 +248,7 @@ fn centred(z: Tensor<2>) -> Tensor<2> {
     z - mean
 }
 
-/// 1 for the share `keep` with the smallest errors, else 0: [n, 1], without gradient.
+/// 1 for the share `keep` with the smallest errors, else 0: `[n, 1]`, without gradient.
 fn kept(errors: &Tensor<2>, keep: f64) -> Tensor<2> {
     let all: Vec<f64> = values(errors.clone()).into_iter().map(f64::from).collect();
     let limit = quantile(&all, keep);

@@ -1,7 +1,7 @@
 //! Training data: the UAV flies random actions over the whole unit square, the obstacle moves at
 //! constant speed and reflects. Positions only; frames are drawn from them when they are needed.
 //!
-//! The UAV's centre may be anywhere in [0,1]², so discs that the frame cuts are in the data. An
+//! The UAV's centre may be anywhere in `[0,1]`², so discs that the frame cuts are in the data. An
 //! episode that would leave the square or reach v_max is drawn again, so its motion is linear in the
 //! actions throughout. Each candidate has its own random stream: equal seeds give equal bytes.
 
@@ -179,7 +179,7 @@ pub fn triples(
         .collect()
 }
 
-/// Writes the episodes of a dataset: `uav`, `velocity`, `obstacle` [n, T+2, 2], `actions` [n, T, 2].
+/// Writes the episodes of a dataset: `uav`, `velocity`, `obstacle` `[n, T+2, 2]`, `actions` `[n, T, 2]`.
 pub fn save(episodes: &[Episode], dir: &Path) -> Result<(), TensorError> {
     std::fs::create_dir_all(dir).map_err(TensorError::file(dir))?;
     let steps = episodes.first().map_or(0, |e| e.actions.len());

@@ -27,9 +27,9 @@ use crate::world_model::card::Card;
 pub struct WorldModel {
     /// Frame to latents.
     pub encoder: Encoder,
-    /// E_c [16][2], orthonormal columns: z_c = E_c y_c.
+    /// E_c `[16][2]`, orthonormal columns: z_c = E_c y_c.
     pub plane_c: [[f32; 2]; LATENT],
-    /// E_u [16][2], orthonormal columns: z_u = E_u y_u.
+    /// E_u `[16][2]`, orthonormal columns: z_u = E_u y_u.
     pub plane_u: [[f32; 2]; LATENT],
     /// S, latent units of z_c per unit of length.
     pub scale: f64,
