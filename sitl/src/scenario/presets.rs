@@ -16,7 +16,7 @@ pub struct Preset {
     toml: &'static str,
 }
 
-const SCENARIO_1: &str = "name = \"scenario 1\"\n[obstacle]\nposition = [0.50, 0.30]\n";
+const SCENARIO_1: &str = "name = \"scenario 1\"\n[[obstacle]]\nposition = [0.50, 0.30]\n";
 
 /// All presets. The paper's two come first.
 pub const PRESETS: [Preset; 12] = [
