@@ -36,10 +36,9 @@ use crate::link::messages::Target;
 use crate::link::param_file::Entry;
 use crate::link::signing::Policy;
 use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
-use crate::scenario::{Action, Obstacle, Rule, Scenario};
+use crate::scenario::{Action, MAX_OBSTACLES, Obstacle, Rule, Scenario};
 use crate::sim::Sim;
 use crate::units::TxPower;
-use crate::world::obstacles::MAX_OBSTACLES;
 
 /// A parameter's place in its component's table, its name and what it holds.
 struct Param {

@@ -9,11 +9,7 @@ use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use super::{channel, safety};
-use crate::scenario::{Obstacle, Scenario};
-
-/// Maximum number of obstacles in a scenario. The wire allows nine: the name of a DEBUG_VECT has ten
-/// characters, and `OBSTACLE_9` is the last one that fits.
-pub const MAX_OBSTACLES: usize = 8;
+use crate::scenario::{MAX_OBSTACLES, Obstacle, Scenario};
 
 /// One value for each obstacle, in the scenario's order: a list of at most [`MAX_OBSTACLES`] that is
 /// copied like an array and read like a slice.

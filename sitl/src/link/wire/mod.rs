@@ -25,9 +25,9 @@ use super::messages::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, P
 use super::messages::{Target, View};
 use super::{AUTOPILOT, MessageData, RADIO};
 use crate::radio::message::{Command, Held, LinkReport, Telemetry};
-use crate::scenario::Scenario;
+use crate::scenario::{MAX_OBSTACLES, Scenario};
 use crate::units::{Tick, TxPower};
-use crate::world::obstacles::{MAX_OBSTACLES, PerObstacle};
+use crate::world::obstacles::PerObstacle;
 
 /// MAV_CMD_USER_1, here: transmit power of the station's radio.
 pub const CMD_TX_POWER: u16 = 31010;
