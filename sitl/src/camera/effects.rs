@@ -219,7 +219,8 @@ mod tests {
 
     #[test]
     fn a_flight_is_filmed_as_training_films_it() {
-        let effects = "uav = [1.0, 0.25, 0.1]\nobstacle = [0.1, 0.3, 1.0]\nnoise = 5.0\ntexture = 20.0\ndrift = 0.2\n";
+        let effects =
+            "uav = [1.0, 0.25, 0.1]\nobstacle = [0.1, 0.3, 1.0]\nnoise = 5.0\ntexture = 20.0\ndrift = 0.2\n";
         let scenario = Scenario::from_toml(&format!("[camera.effects]\n{effects}")).unwrap();
         let camera: Effects = toml::from_str(effects).unwrap();
         let seed = 6;
@@ -239,7 +240,8 @@ mod tests {
 
     #[test]
     fn a_second_obstacle_has_a_colour_of_its_own() {
-        let mut scenario = Scenario::from_toml("[[obstacle]]\n[[obstacle]]\nposition = [0.2, 0.2]\n").unwrap();
+        let mut scenario =
+            Scenario::from_toml("[[obstacle]]\n[[obstacle]]\nposition = [0.2, 0.2]\n").unwrap();
         scenario.camera.effects.obstacle_2 = [1.0, 1.0, 0.0];
         let frame = Sim::new(scenario, 0).frame();
         assert_eq!([frame.pixel(20, 20), frame.pixel(50, 45)], [[255, 255, 0], [0, 0, 255]]);

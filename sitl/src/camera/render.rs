@@ -8,7 +8,7 @@
 
 use nalgebra::Vector2;
 
-use super::frame::{BLUE, CHANNELS, Frame, GREEN, OBSTACLE_CHANNELS, RED, SIDE};
+use super::frame::{CHANNELS, Frame, OBSTACLE_CHANNELS, RED, SIDE};
 use crate::scenario::Scenario;
 use crate::world::World;
 use crate::world::obstacles::Obstacles;
