@@ -5,13 +5,13 @@ use std::path::Path;
 use crpl_model::encoder::module::Backend;
 use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::predictor::NetworksConfig;
-use crpl_model::training::lens::Lens;
 use crpl_model::training::recipe::{Run, TrainError, train};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{
     AlarmLimits, DataConfig, EvaluationConfig, PredictorConfig, TrainConfig,
 };
 use crpl_model::world_model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
+use crpl_sitl::camera::effects::Effects;
 use crpl_sitl::program::timing::Stopwatch;
 
 fn small() -> TrainConfig {
@@ -198,8 +198,8 @@ fn stages_that_cannot_be_are_told() {
         }
     });
     assert!(layers.starts_with("encoder.colour is not set"), "{layers}");
-    let camera = check(|c| c.cameras = vec![Lens { noise: -1.0, ..Lens::default() }]);
-    assert!(camera.starts_with("cameras, entry = 0: (counted from 0) must have"), "{camera}");
+    let camera = check(|c| c.cameras = vec![Effects { noise: -1.0, ..Effects::default() }]);
+    assert_eq!(camera, "cameras[0].noise = -1: must lie in [0, 255]");
 }
 
 #[test]

@@ -7,10 +7,10 @@ use std::path::Path;
 use crpl_model::encoder::weights::{Colour, LATENT};
 use crpl_model::numeric::tensors::{Writer, write_all};
 use crpl_model::predictor::linear::Half;
-use crpl_model::training::lens::{MIXED, Shot};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::dataset::{self, EpisodeStart};
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::effects::{Effects, FrameId};
 use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
 use crpl_sitl::world::noise::Noise;
 use tests::python;
@@ -55,8 +55,8 @@ fn write_vectors(model: &WorldModel, path: &Path) {
         .enumerate()
         .map(|(n, episode)| {
             let clean = episode.frame(1, &scenario);
-            let shot = Shot { series: n as u64, frame: 1 };
-            if n % 2 == 0 { clean } else { MIXED.take(clean, shot, &noise) }
+            let id = FrameId { series: n as u64, frame: 1 };
+            if n % 2 == 0 { clean } else { Effects::mixed_colours().apply(clean, id, &noise) }
         })
         .collect();
     let latents: Vec<_> = frames.iter().map(|frame| model.encode(frame)).collect();

@@ -18,10 +18,10 @@ use crate::encoder::weights::{LATENT, vector};
 use crate::heads::labels::{self, Scene};
 use crate::numeric::statistics::quantile;
 use crate::predictor::Begin;
-use crate::training::lens::{Lenses, Shot};
 use crate::world_model::WorldModel;
 use crate::world_model::config::AlarmLimits;
 use crate::world_model::dataset::{self, EpisodeStart};
+use crpl_sitl::camera::effects::{CameraSet, FrameId};
 
 /// One half of the latents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -245,7 +245,7 @@ pub fn halves(latents: &[Latent], scenes: &[Scene], scale: f64) -> [LatentStats;
 pub fn measure(
     model: &WorldModel,
     [count, rollouts, horizon]: [usize; 3],
-    lenses: &Lenses,
+    cameras: &CameraSet,
     scenario: &Scenario,
     noise: &Noise,
     eigenvalue: Option<f64>,
@@ -254,10 +254,10 @@ pub fn measure(
     let scenes: Vec<Scene> = (0..count).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
     let numbered: Vec<usize> = (0..count).collect();
     let latents = model.encoder.encode_all(&numbered, |&n| {
-        let shot = Shot { series: n as u64, frame: 0 };
-        lenses.take(scenes[n].frame(scenario), shot)
+        let id = FrameId { series: n as u64, frame: 0 };
+        cameras.apply(scenes[n].frame(scenario), id)
     });
-    let actions = rollouts_from_rest(model, [rollouts, horizon], lenses, scenario, noise);
+    let actions = rollouts_from_rest(model, [rollouts, horizon], cameras, scenario, noise);
     Diagnostics { halves: halves(&latents, &scenes, model.scale), actions, eigenvalue }
 }
 
@@ -267,15 +267,15 @@ const ALARM_EPISODES: u64 = 11;
 fn rollouts_from_rest(
     model: &WorldModel,
     [count, horizon]: [usize; 2],
-    lenses: &Lenses,
+    cameras: &CameraSet,
     scenario: &Scenario,
     noise: &Noise,
 ) -> ActionStats {
     let episodes = dataset::collect(count, horizon, EpisodeStart::Rest, scenario, noise, ALARM_EPISODES);
     let mut errors: [Vec<f64>; 3] = Default::default();
     for (n, episode) in episodes.iter().enumerate() {
-        let shot = Shot { series: n as u64, frame: 1 };
-        let start = model.encode(&lenses.take(episode.frame(1, scenario), shot));
+        let id = FrameId { series: n as u64, frame: 1 };
+        let start = model.encode(&cameras.apply(episode.frame(1, scenario), id));
         let goal = episode.uav[episode.uav.len() - 1];
         let other = &episodes[(n + 1) % episodes.len()].actions;
         let zero = vec![Vector2::zeros(); horizon];

@@ -18,9 +18,9 @@ use crate::encoder::weights::vector;
 use crate::heads::labels::{self, Scene};
 use crate::numeric::statistics::quantile;
 use crate::predictor::Begin;
-use crate::training::lens::{Lens, Lenses, MIXED, Shot};
 use crate::world_model::WorldModel;
 use crate::world_model::dataset::{EDGE_BAND, OBSTACLE_SPEED, START_SPEED};
+use crpl_sitl::camera::effects::{CameraSet, Effects, FrameId};
 
 /// One case: 90 % quantiles of the l1 errors, px.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,17 +66,17 @@ pub struct DecodeErrors {
     pub obstacle_px: f64,
 }
 
-/// Decode errors on `count` frames with whole discs and as many with cut ones, taken by `lenses`.
+/// Decode errors on `count` frames with whole discs and as many with cut ones, taken by `cameras`.
 #[must_use]
 pub fn decode_errors(
     model: &WorldModel,
-    lenses: &Lenses,
+    cameras: &CameraSet,
     count: usize,
     scenario: &Scenario,
     noise: &Noise,
 ) -> DecodeErrors {
     let of = |wanted: fn(&Scene, &Scenario) -> bool| {
-        decode_with(model, scenario, wanted, count, noise, |frame, shot| lenses.take(frame, shot))
+        decode_with(model, scenario, wanted, count, noise, |frame, id| cameras.apply(frame, id))
     };
     let ([whole, obstacle], [cut, _]) = (of(whole), of(cut));
     DecodeErrors {
@@ -89,29 +89,32 @@ pub fn decode_errors(
 /// A way to take frames, and which scenes.
 struct FrameCase {
     name: &'static str,
-    lens: Lens,
+    effects: Effects,
     scenario: Scenario,
     wanted: fn(&Scene, &Scenario) -> bool,
 }
 
 fn frame_cases(scenario: &Scenario) -> Vec<FrameCase> {
-    let clean = Lens::default();
+    let clean = Effects::default();
     let with_radius = |radius: f64| {
         let mut other = scenario.clone();
         other.obstacles[0].radius = radius;
         other
     };
-    let case = |name, lens| FrameCase { name, lens, scenario: scenario.clone(), wanted: anything };
+    let case = |name, effects| FrameCase { name, effects, scenario: scenario.clone(), wanted: anything };
     vec![
         FrameCase { wanted: whole, ..case("clean, whole disc", clean) },
         FrameCase { wanted: cut, ..case("disc cut by the edge", clean) },
         FrameCase { wanted: overlapping, ..case("UAV over the obstacle", clean) },
-        FrameCase { wanted: whole, ..case("mixed colours", MIXED) },
-        FrameCase { wanted: whole, ..case("pixel noise 2/255", Lens { noise: 2.0, ..clean }) },
-        FrameCase { wanted: whole, ..case("pixel noise 5/255", Lens { noise: 5.0, ..clean }) },
-        FrameCase { wanted: whole, ..case("mixed colours, pixel noise 2/255", Lens { noise: 2.0, ..MIXED }) },
-        FrameCase { wanted: whole, ..case("texture up to 20/255", Lens { texture: 20.0, ..clean }) },
-        FrameCase { wanted: whole, ..case("brightness drift 20 %", Lens { drift: 0.2, ..clean }) },
+        FrameCase { wanted: whole, ..case("mixed colours", Effects::mixed_colours()) },
+        FrameCase { wanted: whole, ..case("pixel noise 2/255", Effects { noise: 2.0, ..clean }) },
+        FrameCase { wanted: whole, ..case("pixel noise 5/255", Effects { noise: 5.0, ..clean }) },
+        FrameCase {
+            wanted: whole,
+            ..case("mixed colours, pixel noise 2/255", Effects { noise: 2.0, ..Effects::mixed_colours() })
+        },
+        FrameCase { wanted: whole, ..case("texture up to 20/255", Effects { texture: 20.0, ..clean }) },
+        FrameCase { wanted: whole, ..case("brightness drift 20 %", Effects { drift: 0.2, ..clean }) },
         FrameCase { wanted: whole, scenario: with_radius(0.08), ..case("obstacle radius 0.08", clean) },
         FrameCase { wanted: whole, scenario: with_radius(0.12), ..case("obstacle radius 0.12", clean) },
     ]
@@ -152,7 +155,7 @@ fn l1(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
 
 /// Decode errors on `count` frames of the case.
 fn decode(model: &WorldModel, case: &FrameCase, count: usize, noise: &Noise) -> Errors {
-    let take = |frame, shot| case.lens.take(frame, shot, noise);
+    let take = |frame, id| case.effects.apply(frame, id, noise);
     decode_with(model, &case.scenario, case.wanted, count, noise, take)
 }
 
@@ -162,7 +165,7 @@ fn decode_with(
     wanted: fn(&Scene, &Scenario) -> bool,
     count: usize,
     noise: &Noise,
-    take: impl Fn(Frame, Shot) -> Frame + Sync,
+    take: impl Fn(Frame, FrameId) -> Frame + Sync,
 ) -> Errors {
     let mut rng = noise.generator(Stream::Evaluation, 30);
     let scenes: Vec<Scene> = std::iter::repeat_with(|| labels::uniform_scene(scenario, &mut rng))
@@ -173,7 +176,7 @@ fn decode_with(
         .par_iter()
         .enumerate()
         .map(|(n, scene)| {
-            let latent = model.encode(&take(scene.frame(scenario), Shot { series: n as u64, frame: 0 }));
+            let latent = model.encode(&take(scene.frame(scenario), FrameId { series: n as u64, frame: 0 }));
             (l1(model.uav(&latent), scene.uav), l1(model.obstacle(&latent), scene.obstacle))
         })
         .unzip();

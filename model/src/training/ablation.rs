@@ -9,10 +9,10 @@ use serde::Serialize;
 use crate::encoder::module::Backend;
 use crate::evaluation::diagnostics::Diagnostics;
 use crate::evaluation::robustness::{self, DecodeErrors};
-use crate::training::lens::{Lens, Lenses, MIXED};
 use crate::training::recipe::{TrainError, without_heads};
 use crate::world_model::config::TrainConfig;
 use crate::world_model::stages::Init;
+use crpl_sitl::camera::effects::{CameraSet, Effects};
 
 /// One change of the recipe.
 #[derive(Clone, Copy)]
@@ -63,22 +63,22 @@ pub const ABLATIONS: [Ablation; 20] = [
     Ablation { name: "z_u: ridge 1e-6", apply: |c| c.closed_form.ridge_u = 1e-6 },
     Ablation { name: "z_u: floor 1e-5 on the covariance", apply: |c| c.closed_form.floor_u = 1e-5 },
     Ablation { name: "z_c: ridge 1e-5", apply: |c| c.closed_form.ridge_c = 1e-5 },
-    Ablation { name: "trained on mixed colours", apply: |c| c.cameras = vec![MIXED] },
+    Ablation { name: "trained on mixed colours", apply: |c| c.cameras = vec![Effects::mixed_colours()] },
     Ablation {
         name: "trained on pixel noise 2/255",
-        apply: |c| c.cameras = vec![Lens { noise: 2.0, ..Lens::default() }],
+        apply: |c| c.cameras = vec![Effects { noise: 2.0, ..Effects::default() }],
     },
     Ablation {
         name: "trained on mixed colours, colour layer 0.03",
         apply: |c| {
-            c.cameras = vec![MIXED];
+            c.cameras = vec![Effects::mixed_colours()];
             c.encoder.colour = Some(0.03);
         },
     },
     Ablation {
         name: "trained on noise 2/255, colour layer 0.03",
         apply: |c| {
-            c.cameras = vec![Lens { noise: 2.0, ..Lens::default() }];
+            c.cameras = vec![Effects { noise: 2.0, ..Effects::default() }];
             c.encoder.colour = Some(0.03);
         },
     },
@@ -101,8 +101,8 @@ impl Ablation {
             Err(error) => return Err(error),
         };
         let noise = Noise::new(config.seed ^ FRESH);
-        let lenses = Lenses::new(&config.cameras, &noise);
-        let errors = robustness::decode_errors(&model, &lenses, count, &Scenario::default(), &noise);
+        let cameras = CameraSet::new(&config.cameras, &noise);
+        let errors = robustness::decode_errors(&model, &cameras, count, &Scenario::default(), &noise);
         let alarms = diagnostics.alarms(&config.alarms).iter().map(ToString::to_string).collect();
         Ok(AblationRow { change: self.name, errors: Some(errors), diagnostics: Some(diagnostics), alarms })
     }

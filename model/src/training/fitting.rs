@@ -19,10 +19,10 @@ use crate::numeric::statistics::quantile;
 use crate::predictor::linear::{self, Half, Linear};
 use crate::training::closed_form::{self, FitError, Triples};
 use crate::training::heads::{self, Samples};
-use crate::training::lens::{Lenses, Shot};
 use crate::world_model::card::FitCheck;
 use crate::world_model::config::TrainConfig;
 use crate::world_model::dataset::{self, EDGE_BAND, Episode, Triple};
+use crpl_sitl::camera::effects::{CameraSet, FrameId};
 
 /// E_c and E_u, `[16][2]` each.
 pub type Planes = [[[f32; 2]; LATENT]; 2];
@@ -33,7 +33,7 @@ pub struct TrainData<'a> {
     /// Positions and actions.
     pub episodes: &'a [Episode],
     /// The cameras.
-    pub lenses: &'a Lenses,
+    pub cameras: &'a CameraSet,
     /// The world.
     pub scenario: &'a Scenario,
 }
@@ -58,15 +58,15 @@ pub struct TrainContext<'a> {
 impl TrainContext<'_> {
     /// The frame of a training episode's frame.
     fn frame(&self, episode: usize, frame: usize) -> Frame {
-        let TrainData { episodes, lenses, scenario } = self.data;
-        let shot = Shot { series: episode as u64, frame };
-        lenses.take(episodes[episode].frame(frame, scenario), shot)
+        let TrainData { episodes, cameras, scenario } = self.data;
+        let id = FrameId { series: episode as u64, frame: frame as u64 };
+        cameras.apply(episodes[episode].frame(frame, scenario), id)
     }
 
     /// The frame of a labelled scene, each a series of its own beyond the episodes.
     fn scene(&self, number: usize, scene: &Scene) -> Frame {
-        let shot = Shot { series: (1 << 32) + number as u64, frame: 0 };
-        self.data.lenses.take(scene.frame(self.data.scenario), shot)
+        let id = FrameId { series: (1 << 32) + number as u64, frame: 0 };
+        self.data.cameras.apply(scene.frame(self.data.scenario), id)
     }
 
     /// A progress bar of `length` steps.

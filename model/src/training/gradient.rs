@@ -22,11 +22,11 @@ use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 use crate::training::closed_form::FitError;
 use crate::training::fitting::{self, TrainContext, TrainData};
-use crate::training::lens::Shot;
 use crate::training::losses::{self, Anchors, GradientPredictors, LossValue, Running, Views};
 use crate::world_model::config::TrainConfig;
 use crate::world_model::dataset::{self, Triple};
 use crate::world_model::stages::{Gradient, HeadStart, Layers, PsiStart};
+use crpl_sitl::camera::effects::FrameId;
 
 /// File of the state that `--resume` goes on with.
 pub const PROGRESS: &str = "gradient.safetensors";
@@ -168,8 +168,8 @@ fn draw(config: &TrainConfig, stage: &Gradient, data: TrainData<'_>, noise: &Noi
     let frames = places
         .par_iter()
         .map(|&(episode, frame)| {
-            let shot = Shot { series: episode as u64, frame };
-            data.lenses.take(data.episodes[episode].frame(frame, data.scenario), shot)
+            let id = FrameId { series: episode as u64, frame: frame as u64 };
+            data.cameras.apply(data.episodes[episode].frame(frame, data.scenario), id)
         })
         .collect();
     let scenes = places

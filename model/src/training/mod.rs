@@ -1,6 +1,6 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `closed_form`, `lens`, `stages` and `predictors` need burn: the cargo feature `train`.
+//! All but `closed_form`, `stages` and `predictors` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
@@ -15,7 +15,6 @@ pub mod fitting;
 pub mod gradient;
 #[cfg(feature = "train")]
 pub mod heads;
-pub mod lens;
 #[cfg(feature = "train")]
 pub mod losses;
 pub mod predictors;

@@ -29,7 +29,6 @@ use crate::training::cache::{self, CacheError, StageCache};
 use crate::training::closed_form::FitError;
 use crate::training::fitting::{self, Planes, TrainContext, TrainData};
 use crate::training::gradient::{self, GradientError};
-use crate::training::lens::Lenses;
 use crate::training::predictors::{self, Trained};
 use crate::world_model::card::{Card, FitCheck};
 use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
@@ -37,6 +36,7 @@ use crate::world_model::config::{ConfigError, DataConfig, TrainConfig};
 use crate::world_model::dataset::{self, Episode, EpisodeStart, Triple};
 use crate::world_model::stages::Init;
 use crate::world_model::{WorldModel, plane};
+use crpl_sitl::camera::effects::CameraSet;
 
 /// Why training stopped.
 #[derive(Debug, thiserror::Error)]
@@ -130,8 +130,8 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
         },
         |episodes, dir| dataset::save(episodes, dir),
     )?;
-    let lenses = Lenses::new(&config.cameras, &noise);
-    let data = TrainData { episodes: &episodes, lenses: &lenses, scenario: &scenario };
+    let cameras = CameraSet::new(&config.cameras, &noise);
+    let data = TrainData { episodes: &episodes, cameras: &cameras, scenario: &scenario };
     let planes = planes(&noise);
     let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: true };
 
@@ -202,8 +202,8 @@ pub fn without_heads(
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = backend.device()?;
     let (episodes, planes) = (collect(config, &scenario), planes(&noise));
-    let lenses = Lenses::new(&config.cameras, &noise);
-    let data = TrainData { episodes: &episodes, lenses: &lenses, scenario: &scenario };
+    let cameras = CameraSet::new(&config.cameras, &noise);
+    let data = TrainData { episodes: &episodes, cameras: &cameras, scenario: &scenario };
     let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: false };
     let cache = StageCache::none();
     let picks = fitting::pick(&context);
@@ -351,9 +351,9 @@ fn look_at(
 ) -> Diagnostics {
     let evaluation = &context.config.evaluation;
     let sizes = [evaluation.frames, evaluation.rollouts, evaluation.horizon];
-    let lenses = Lenses::new(&context.config.cameras, noise);
+    let cameras = CameraSet::new(&context.config.cameras, noise);
     let eigenvalue = check.map(|c| c.eigenvalues[1]);
-    diagnostics::measure(model, sizes, &lenses, context.data.scenario, noise, eigenvalue)
+    diagnostics::measure(model, sizes, &cameras, context.data.scenario, noise, eigenvalue)
 }
 
 fn in_words(alarms: &[CollapseCheck]) -> String {

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::heads::labels::HeadsConfig;
 use crate::predictor::{NetworksConfig, PredictorKind};
-use crate::training::lens::Lens;
 use crate::world_model::stages::{Layers, Stages};
+use crpl_sitl::camera::effects::Effects;
 
 /// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,7 +28,7 @@ pub struct TrainConfig {
     pub batch: usize,
     /// The cameras that took the frames, one after the other for consecutive episodes; none means the
     /// clean one.
-    pub cameras: Vec<Lens>,
+    pub cameras: Vec<Effects>,
     /// What makes the encoder.
     pub stages: Stages,
     /// The encoder.
@@ -229,6 +229,18 @@ pub enum ConfigError {
         /// What needs it.
         why: &'static str,
     },
+    /// A value of a camera is out of range.
+    #[error("cameras[{entry}].{key} = {value}: {must}")]
+    Camera {
+        /// Index of the camera, from 0.
+        entry: usize,
+        /// Its key.
+        key: &'static str,
+        /// The value found.
+        value: f64,
+        /// What it must be.
+        must: &'static str,
+    },
     /// A value is out of range.
     #[error("{key} = {value}: {must}")]
     Range {
@@ -370,10 +382,10 @@ impl TrainConfig {
 
     fn check_stages(&self) -> Result<(), ConfigError> {
         let refuse = |key, value, must| Err(ConfigError::Range { key, value, must });
-        if let Some(at) = self.cameras.iter().position(|lens| !lens.is_sound()) {
-            let must =
-                "(counted from 0) must have colours in 0..=1, noise and texture in 0..=255, drift in 0..1";
-            return refuse("cameras, entry", at as f64, must);
+        let mut cameras = self.cameras.iter().enumerate();
+        let violation = cameras.find_map(|(entry, camera)| Some((entry, camera.violation()?)));
+        if let Some((entry, (key, value, must))) = violation {
+            return Err(ConfigError::Camera { entry, key, value, must });
         }
         if let Some(threshold) = self.encoder.colour {
             if !(0.0..1.0).contains(&threshold) {

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
+use crate::camera::effects::Effects;
 use crate::units::{MAX_OBSTACLES, Scale};
 
 /// One flight's parameters. Lengths in the paper's units, times in control intervals.
@@ -181,11 +182,13 @@ impl Disturbance {
 pub struct Camera {
     /// w, width of a disc's soft rim, px (our choice).
     pub edge_px: f64,
+    /// What lens, sensor and scene add to the clean frame; nothing by default.
+    pub effects: Effects,
 }
 
 impl Default for Camera {
     fn default() -> Self {
-        Self { edge_px: 4.0 }
+        Self { edge_px: 4.0, effects: Effects::default() }
     }
 }
 
@@ -554,6 +557,9 @@ impl Scenario {
             let is_alone = self.obstacles[..n].iter().all(|o| o.position != obstacle.position);
             let (key, x) = (format!("obstacle[{n}].position[0]"), obstacle.position.x);
             check(&key, x, is_alone, "must be another place than that of the obstacles before it")?;
+        }
+        if let Some((key, value, must)) = self.camera.effects.violation() {
+            check(&format!("camera.effects.{key}"), value, false, must)?;
         }
         let interval = self.scale.interval_s;
         check("scale.interval_s", interval, interval >= 1e-3, "must be at least 0.001: time is told in ms")?;

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
+use crate::camera::effects::FrameId;
 use crate::camera::{self, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
@@ -39,6 +40,7 @@ pub struct Sim {
     scenario: Scenario,
     world: World,
     gate: Gate,
+    seed: u64,
     noise: Noise,
     tick: Tick,
     link: Option<LinkReport>,
@@ -52,6 +54,7 @@ impl Sim {
         Self {
             world: World::new(&scenario),
             gate: Gate::default(),
+            seed,
             noise: Noise::new(seed),
             tick: Tick::default(),
             link: None,
@@ -175,7 +178,9 @@ impl Sim {
     /// The picture at the start of this tick.
     #[must_use]
     pub fn frame(&self) -> Frame {
-        camera::picture(&self.world, &self.scenario)
+        let clean = camera::picture(&self.world, &self.scenario);
+        let id = FrameId { series: self.seed, frame: self.tick.0 };
+        self.scenario.camera.effects.apply(clean, id, &self.noise)
     }
 
     /// Report and picture together.

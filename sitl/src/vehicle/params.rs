@@ -38,8 +38,7 @@ use crate::link::splitter::Counts;
 use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
 use crate::scenario::{Action, Obstacle, Rule, Scenario};
 use crate::sim::Sim;
-use crate::units::TxPower;
-use crate::world::obstacles::MAX_OBSTACLES;
+use crate::units::{MAX_OBSTACLES, TxPower};
 
 /// A parameter's place in its component's table, its name and what it holds.
 struct Param {

@@ -26,8 +26,8 @@ use super::packet::PacketRef;
 use super::{AUTOPILOT, MessageData, RADIO};
 use crate::radio::message::{Command, Held, LinkReport, Telemetry};
 use crate::scenario::Scenario;
-use crate::units::{Tick, TxPower};
-use crate::world::obstacles::{MAX_OBSTACLES, PerObstacle};
+use crate::units::{MAX_OBSTACLES, Tick, TxPower};
+use crate::world::obstacles::PerObstacle;
 
 /// MAV_CMD_USER_1, here: transmit power of the station's radio.
 pub const CMD_TX_POWER: u16 = 31010;
