@@ -248,7 +248,7 @@ impl Guide {
                     return self.fail(format!("{news}, and not what --vehicle {name} flies"));
                 }
                 self.system = Some(id);
-                self.ask_for_streams(id, now);
+                self.request_streams(id, now);
             }
             News::Mode(id, _, mode) if Some(id) == self.system => {
                 self.say(news.to_string());
@@ -263,10 +263,10 @@ impl Guide {
         }
     }
 
-    fn ask_for_streams(&mut self, system: u8, now: Duration) {
+    fn request_streams(&mut self, system: u8, now: Duration) {
         let params = [LOCAL_POSITION_NED_DATA::ID as f32, REPORT_US];
-        let ask = CommandRequest::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
-        self.commands.request(ask, now);
+        let request = CommandRequest::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
+        self.commands.request(request, now);
     }
 
     /// Somebody else flies from now on.
@@ -311,8 +311,8 @@ impl Guide {
         for news in self.fleet.poll(now) {
             self.news(news, now);
         }
-        while let Some((ask, verdict)) = self.commands.take() {
-            self.answered(&ask, verdict, &mut datagram, now);
+        while let Some((request, result)) = self.commands.take() {
+            self.answered(&request, result, &mut datagram, now);
         }
         self.step(now);
         self.commands.poll(now, &mut self.station, &mut datagram);
@@ -322,25 +322,25 @@ impl Guide {
 
     fn answered(
         &mut self,
-        ask: &CommandRequest,
-        verdict: CommandResult,
+        request: &CommandRequest,
+        result: CommandResult,
         datagram: &mut Vec<u8>,
         now: Duration,
     ) {
-        match ask.command {
-            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if verdict != CommandResult::Accepted => {
-                self.say(format!("message interval {verdict}: asking for data streams"));
-                let (system, component) = ask.target;
+        match request.command {
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if result != CommandResult::Accepted => {
+                self.say(format!("message interval {result}: asking for data streams"));
+                let (system, component) = request.target;
                 for (stream, hz) in [(STREAM_POSITION, 20), (STREAM_ALL, 4)] {
                     let target = Target { system, component };
                     self.station
                         .push_view(datagram, &RequestDataStream { rate: hz, target, stream, start: 1 });
                 }
             }
-            command if self.asked == Some(command) && verdict != CommandResult::Accepted => {
+            command if self.asked == Some(command) && result != CommandResult::Accepted => {
                 let complaint =
                     if self.complaint.is_empty() { String::new() } else { format!(": {}", self.complaint) };
-                self.say(format!("{} {verdict}{complaint}", words(command)));
+                self.say(format!("{} {result}{complaint}", words(command)));
                 self.asked = None;
                 self.retry = Some(now + self.wall(AGAIN));
             }
