@@ -23,7 +23,7 @@ fn pymavlink_flies_north_and_sees_the_uav() {
 fn the_pymavlink_example_flies_north() {
     let folder = tempfile::tempdir().unwrap();
     let frame = folder.path().join("frame.png");
-    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speedup", "4"]).unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime", "--speed", "4"]).unwrap();
     let args = [address.to_string().into(), frame.clone().into_os_string()];
     let said = python::script("../../examples/fly_north.py", &args).unwrap().good().unwrap();
     for step in ["at north 250.0 m", "pushed: north 2", "braked: north 2", "at power 4", "frame in"] {
