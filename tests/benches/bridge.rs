@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use crpl_sitl::link::dialect::{ATTITUDE_DATA, HEARTBEAT_DATA};
 use crpl_sitl::link::encoder::Encoder;
-use crpl_sitl::link::frame::Splitter;
+use crpl_sitl::link::splitter::Splitter;
 use tests::program::{self, Program};
 use tests::python;
 

@@ -6,7 +6,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::path::Path;
 
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
     COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavMessage, POSITION_TARGET_LOCAL_NED_DATA,
     PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
@@ -15,6 +15,7 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandAck;
 use crpl_sitl::link::messages::telemetry::PositionTargetLocalNed;
+use crpl_sitl::link::packet::Packet;
 use tests::program::{self, PATIENCE, Program};
 use tests::python;
 

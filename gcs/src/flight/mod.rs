@@ -19,9 +19,9 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
-use crpl_sitl::link::decoder::Counts;
 use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};

@@ -8,11 +8,11 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::dialect::{COMMAND_LONG_DATA, MavCmd};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandAck;
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 /// Wait before a command is sent again: the standard's autopilots answer within 0.1 s.

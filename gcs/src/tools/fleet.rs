@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::Duration;
 
-use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
+use crpl_sitl::link::packet::Packet;
 
 /// A link counts as lost when five heartbeats, one a second of the vehicle's time, are missing.
 const LOST_AFTER: Duration = Duration::from_millis(5500);

@@ -17,7 +17,7 @@ use crpl_sitl::link::dialect::{
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
-use crpl_sitl::link::frame::Splitter;
+use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, RADIO, STATION_SYSTEM};
 use crpl_sitl::program::terminal::{interrupted, positive};

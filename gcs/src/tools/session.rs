@@ -8,10 +8,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavAutopilot, MavCmd, MavModeFlag, MavState, MavType};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::{AUTOPILOT, MessageData, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::program::terminal::interrupted;
 use tokio::time::{Instant, Interval, interval, sleep_until};

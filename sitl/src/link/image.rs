@@ -10,11 +10,11 @@
 
 use std::collections::BTreeMap;
 
-use super::decoder::Packet;
 use super::dialect::{DATA_TRANSMISSION_HANDSHAKE_DATA, ENCAPSULATED_DATA_DATA, MavlinkDataStreamType};
 use super::encoder::{DATAGRAM, Encoder};
 use super::messages::View;
 use super::messages::image::{EncapsulatedData, Handshake};
+use super::packet::Packet;
 use crate::camera::{Frame, SIDE};
 use crate::units::Tick;
 

@@ -2,13 +2,14 @@
 //!
 //! The only place that names the `mavlink` crate. Knows no physics, no socket but the one that
 //! [`endpoint::Endpoint::open`] makes, and no clock. What a packet from the network contains is data:
-//! a bad one is counted ([`decoder::Counts`]) and never an error.
+//! a bad one is counted ([`splitter::Counts`]) and never an error.
 //!
 //! | module | what it is |
 //! |---|---|
 //! | [`crc`] | the checksum of frames |
-//! | [`decoder`] | datagrams to packets, through garbage, bad CRCs and frames cut in two |
-//! | [`frame`] | bytes to frames of any kind, uncopied, for whoever passes them on |
+//! | [`packet`] | a packet, borrowed or owned; its header |
+//! | [`splitter`] | bytes to packets, uncopied, through garbage, bad CRCs and packets cut in two |
+//! | [`decoder`] | the same, for who reads the packets and keeps them |
 //! | [`encoder`] | typed messages to frames with contiguous sequence numbers |
 //! | [`messages`] | payloads by named fields: where in a message a field is |
 //! | [`wire`] | the table "our message, theirs", both directions |
@@ -24,13 +25,14 @@ pub mod crc;
 pub mod decoder;
 pub mod encoder;
 pub mod endpoint;
-pub mod frame;
 pub mod image;
 pub mod links;
 pub mod messages;
+pub mod packet;
 pub mod param_file;
 pub mod sequence;
 pub mod signing;
+pub mod splitter;
 pub mod tlog;
 pub mod wire;
 

@@ -4,10 +4,8 @@
 use std::io::{self, Write};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::signing;
-
-/// Message id 256.
-const SETUP_SIGNING: [u8; 3] = [0, 1, 0];
+use super::packet::Header;
+use super::{MessageData, dialect, signing};
 
 /// Writes a tlog.
 #[derive(Debug)]
@@ -33,7 +31,7 @@ impl<W: Write> Tlog<W> {
     /// Appends a frame that was sent or received at `time`. Times never go back in the file. A
     /// signature is left out, and SETUP_SIGNING, which holds a key, never enters it.
     pub fn frame(&mut self, raw: &[u8], time: SystemTime) -> io::Result<()> {
-        if raw.get(7..10) == Some(&SETUP_SIGNING) {
+        if Header::of(raw).is_some_and(|header| header.id == dialect::SETUP_SIGNING_DATA::ID) {
             return Ok(());
         }
         let since = time.duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -59,7 +57,7 @@ mod tests {
         let mut datagram = Vec::new();
         let mut encoder = crate::link::encoder::Encoder::new(1, 1);
         for _ in 0..3 {
-            encoder.push(&mut datagram, &crate::link::dialect::HEARTBEAT_DATA::default());
+            encoder.push(&mut datagram, &dialect::HEARTBEAT_DATA::default());
         }
         let mut bytes = Vec::new();
         Tlog::new(&mut bytes).datagram(&datagram, UNIX_EPOCH).unwrap();
@@ -76,7 +74,7 @@ mod tests {
         tlog.frame(&[0xFD, 1], UNIX_EPOCH + Duration::from_micros(0x0102)).unwrap();
         tlog.frame(&[0xFD, 2], UNIX_EPOCH + Duration::from_micros(0x0101)).unwrap();
         let mut setup_signing = [0; 12];
-        setup_signing[8] = 1;
+        (setup_signing[0], setup_signing[8]) = (0xFD, 1);
         tlog.frame(&setup_signing, UNIX_EPOCH).unwrap();
         assert_eq!(bytes, [0, 0, 0, 0, 0, 0, 1, 2, 0xFD, 1, 0, 0, 0, 0, 0, 0, 1, 2, 0xFD, 2]);
     }

@@ -287,9 +287,10 @@ mod tests {
     use tokio::net::TcpStream;
 
     use super::*;
-    use crate::link::decoder::{Decoder, Packet};
+    use crate::link::decoder::Decoder;
     use crate::link::dialect;
     use crate::link::encoder::Encoder;
+    use crate::link::packet::Packet;
     use crate::{Scenario, Sim};
 
     fn question(system: u8) -> Vec<u8> {

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use super::modes::{self, Mode};
 use super::{Vehicle, messages};
-use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, ImageRequest};
 use crate::link::messages::command::SetMode;
@@ -13,6 +12,7 @@ use crate::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet}
 use crate::link::messages::service::{FileTransfer, Ping, RequestDataStream, Timesync};
 use crate::link::messages::status::Heartbeat;
 use crate::link::messages::{Target, View};
+use crate::link::packet::Packet;
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint};
 use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
 use crate::radio::message::Command;

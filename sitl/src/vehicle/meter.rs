@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use crate::link::decoder::Counts;
 use crate::link::sequence::Heard;
+use crate::link::splitter::Counts;
 use crate::link::{dialect, signing};
 
 /// Over which rates are measured.

@@ -29,12 +29,12 @@ use std::time::Duration;
 use super::Vehicle;
 use super::modes::Mode;
 use super::plan::{Fault, Item, Plan};
-use crate::link::decoder::Packet;
 use crate::link::dialect::{self, MavMissionResult, MavMissionType, MavResult};
 use crate::link::messages::View;
 use crate::link::messages::mission::{
     self, MissionAck, MissionCount, MissionItem, MissionPartialList, MissionRequest, MissionSetCurrent, Place,
 };
+use crate::link::packet::Packet;
 use crate::link::{AUTOPILOT, MessageData, PeerId};
 
 /// The longest mission.

@@ -47,13 +47,15 @@ pub use params::ParamError;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use crate::link::decoder::{Counts, Decoder, Packet};
+use crate::link::decoder::Decoder;
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::Encoder;
 use crate::link::messages::View;
 use crate::link::messages::service::SetupSigning;
+use crate::link::packet::Packet;
 use crate::link::sequence::{Heard, Sequence};
 use crate::link::signing::{self, Key, Origin, Rejection, Signing};
+use crate::link::splitter::Counts;
 use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::scenario::Scenario;

@@ -29,12 +29,12 @@
 use std::time::Duration;
 
 use super::Vehicle;
-use crate::link::decoder::Counts;
 use crate::link::dialect::{self, MavParamError, MavParamType};
 use crate::link::encoder::DATAGRAM;
 use crate::link::messages::Target;
 use crate::link::param_file::Entry;
 use crate::link::signing::Policy;
+use crate::link::splitter::Counts;
 use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
 use crate::scenario::{Action, Obstacle, Rule, Scenario};
 use crate::sim::Sim;

@@ -7,7 +7,7 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
     HEARTBEAT_DATA, MavFrame, PING_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
@@ -15,6 +15,7 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::service::Ping;
 use crpl_sitl::link::messages::telemetry::{LocalPositionNed, PositionTargetLocalNed};
+use crpl_sitl::link::packet::Packet;
 use tests::program::{self, PATIENCE};
 
 const FRAMES: u64 = 100_000;

@@ -18,7 +18,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use crpl_sitl::Scenario;
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
     COMMAND_LONG_DATA, LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity,
     PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
@@ -27,6 +27,7 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::service::RequestDataStream;
 use crpl_sitl::link::messages::telemetry::LocalPositionNed;
 use crpl_sitl::link::messages::{Target, View};
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::radio::message::{Command, Percept};
 

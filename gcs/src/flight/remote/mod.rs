@@ -10,10 +10,12 @@ use std::time::Duration;
 
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
-use crpl_sitl::link::decoder::{Counts, Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::packet::Packet;
+use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
 use crpl_sitl::link::{AUTOPILOT, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};

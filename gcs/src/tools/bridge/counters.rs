@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use crpl_sitl::link::decoder::Counts;
 use crpl_sitl::link::sequence::Heard;
+use crpl_sitl::link::splitter::Counts;
 
 /// Counters of one link since it began.
 #[derive(Debug, Clone, Default)]

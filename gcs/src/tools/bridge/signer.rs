@@ -8,7 +8,8 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, ensure};
-use crpl_sitl::link::decoder::{Decoder, Packet};
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::signing::{Policy, Signing, Store, timestamp};
 
 /// The link id in our signatures.

@@ -5,7 +5,6 @@
 
 use std::time::Duration;
 
-use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::dialect::{
     MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_REQUEST_DATA,
     MISSION_REQUEST_LIST_DATA,
@@ -13,6 +12,7 @@ use crpl_sitl::link::dialect::{
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::mission::{MissionAck, MissionCount, MissionRequest};
 use crpl_sitl::link::messages::{Target, View};
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 use super::item::Item;

@@ -1,7 +1,7 @@
 //! A mission item as files and people have it, and as MISSION_ITEM_INT has it.
 
-use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::messages::mission::{MissionItem, Place};
+use crpl_sitl::link::packet::Packet;
 
 /// MAV_FRAME_GLOBAL and its kin hold latitude and longitude.
 const GLOBAL_FRAMES: [u8; 6] = [0, 3, 5, 6, 10, 11];

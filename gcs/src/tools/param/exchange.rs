@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-use crpl_sitl::link::decoder::Packet;
 use crpl_sitl::link::dialect::{
     MavMessage, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::param::{MAX_NAME, ParamSet, ParamValue};
+use crpl_sitl::link::packet::Packet;
 
 use super::value::{Encoding, Kind, NoNumber, Number};
 use crate::tools::retry::Question;

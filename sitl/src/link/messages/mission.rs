@@ -1,7 +1,7 @@
 //! The mission protocol.
 
 use super::{Target, View};
-use crate::link::frame::Frame;
+use crate::link::packet::PacketRef;
 use crate::link::{MessageData, dialect};
 
 views! {
@@ -104,7 +104,7 @@ pub enum Place {
 impl MissionItem {
     /// The item of a MISSION_ITEM_INT or MISSION_ITEM, and its place in that message's form.
     #[must_use]
-    pub fn with_place<'a>(packet: impl Into<Frame<'a>>) -> Option<(Self, Place)> {
+    pub fn with_place<'a>(packet: impl Into<PacketRef<'a>>) -> Option<(Self, Place)> {
         let packet = packet.into();
         let item = Self::of(packet)?;
         let place = if packet.id == dialect::MISSION_ITEM_DATA::ID {
@@ -118,7 +118,7 @@ impl MissionItem {
 
 /// Whom a message of the mission protocol is for, and its MAV_MISSION_TYPE; `None` for other messages.
 #[must_use]
-pub fn address_of<'a>(packet: impl Into<Frame<'a>>) -> Option<(Target, u8)> {
+pub fn address_of<'a>(packet: impl Into<PacketRef<'a>>) -> Option<(Target, u8)> {
     let packet = packet.into();
     let from_station = MissionList::of(packet)
         .map(|list| (list.target, list.mission_type))

@@ -28,7 +28,7 @@
 use std::borrow::Cow;
 
 use super::MessageData;
-use super::frame::Frame;
+use super::packet::PacketRef;
 
 /// The longest payload, bytes.
 pub const MAX_PAYLOAD: usize = 255;
@@ -50,7 +50,7 @@ pub trait View: Sized {
 
     /// The fields of a packet; `None` if it is another message.
     #[must_use]
-    fn of<'a>(packet: impl Into<Frame<'a>>) -> Option<Self> {
+    fn of<'a>(packet: impl Into<PacketRef<'a>>) -> Option<Self> {
         let packet = packet.into();
         Self::IDS.contains(&packet.id).then(|| Self::read(packet.payload()))
     }

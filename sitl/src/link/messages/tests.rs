@@ -15,9 +15,10 @@ use super::setpoint::SetPositionTargetLocalNed;
 use super::status::{AutopilotVersion, Heartbeat, MessageInterval};
 use super::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
 use super::*;
-use crate::link::decoder::{Decoder, Packet};
+use crate::link::decoder::Decoder;
 use crate::link::dialect::*;
 use crate::link::encoder::Encoder;
+use crate::link::packet::Packet;
 
 const TARGET: Target = Target { system: 7, component: 68 };
 

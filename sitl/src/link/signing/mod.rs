@@ -24,12 +24,10 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::crc::{checksum, crc_extra};
-use super::decoder::{Packet, SIGNED};
 use super::encoder::DATAGRAM;
+use super::packet::{Header, Packet, PacketRef, SIGNED, TRAILER};
 use super::{MessageData, dialect};
 
-/// Bytes behind the checksum: link, timestamp, signature.
-pub const TRAILER: usize = 13;
 const STAMP: usize = 6;
 /// 2015-01-01 in seconds since 1970.
 const EPOCH_S: u64 = 1_420_070_400;
@@ -211,7 +209,7 @@ impl Signing {
 
     fn examine(&mut self, packet: &Packet, now: u64) -> Result<Origin, Rejection> {
         let Some(key) = &self.key else { return Ok(Origin::Unsigned) };
-        if packet.raw[2] & SIGNED == 0 {
+        if !PacketRef::from(packet).signed() {
             let taken = self.policy == Policy::Optional || FROM_MODEMS.contains(&packet.id);
             return if taken { Ok(Origin::Unsigned) } else { Err(Rejection::Unsigned) };
         }
@@ -254,12 +252,9 @@ impl Signing {
     }
 
     fn sign_frame(&mut self, frame: &[u8], link: u8, now: u64) -> Vec<u8> {
-        let (Some(key), Some(extra)) = (&self.key, crc_extra(message_id(frame))) else {
-            return frame.to_vec();
-        };
-        if frame[2] & SIGNED != 0 {
-            return frame.to_vec();
-        }
+        let unsigned = Header::of(frame).filter(|header| header.flags & SIGNED == 0);
+        let extra = unsigned.and_then(|header| crc_extra(header.id));
+        let (Some(key), Some(extra)) = (&self.key, extra) else { return frame.to_vec() };
         self.newest = (self.newest + 1).max(now);
         self.changed = true;
         let mut out = Vec::with_capacity(frame.len() + TRAILER);
@@ -274,17 +269,11 @@ impl Signing {
     }
 }
 
-fn message_id(frame: &[u8]) -> u32 {
-    u32::from_le_bytes([frame[7], frame[8], frame[9], 0])
-}
-
 /// The MAVLink 2 frames of a datagram that we made ourselves; what is no whole frame ends it.
 pub fn frames(datagram: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = datagram;
     std::iter::from_fn(move || {
-        let [_, length, flags, ..] = *rest else { return None };
-        let trailer = if flags & SIGNED == 0 { 0 } else { TRAILER };
-        let (frame, behind) = rest.split_at_checked(12 + usize::from(length) + trailer)?;
+        let (frame, behind) = rest.split_at_checked(Header::of(rest)?.whole)?;
         rest = behind;
         Some(frame)
     })
@@ -294,13 +283,10 @@ pub fn frames(datagram: &[u8]) -> impl Iterator<Item = &[u8]> {
 /// frame as it is.
 #[must_use]
 pub fn strip(frame: &[u8]) -> Vec<u8> {
-    let signed = matches!(*frame, [0xFD, _, flags, ..] if flags & SIGNED != 0);
-    let checked = frame.len().saturating_sub(TRAILER + 2);
-    if !signed || checked < 10 {
-        return frame.to_vec();
-    }
-    let Some(extra) = crc_extra(message_id(frame)) else { return frame.to_vec() };
-    let mut out = frame[..checked].to_vec();
+    let signed = Header::of(frame).filter(|header| header.flags & SIGNED != 0);
+    let found = signed.and_then(|header| Some((frame.get(..header.checked)?, crc_extra(header.id)?)));
+    let Some((checked, extra)) = found else { return frame.to_vec() };
+    let mut out = checked.to_vec();
     out[2] &= !SIGNED;
     out.extend(checksum(&out[1..], extra).to_le_bytes());
     out

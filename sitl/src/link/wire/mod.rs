@@ -15,14 +15,14 @@
 //! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
 //! of the LOCAL_POSITION_NED, for its own stamp names another tick.
 
-use super::decoder::Packet;
 use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
-use super::frame::Frame;
 use super::messages::command::{CommandInt, CommandLong};
 use super::messages::setpoint::SetPositionTargetLocalNed;
 use super::messages::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
 use super::messages::{Target, View};
+use super::packet::Packet;
+use super::packet::PacketRef;
 use super::{AUTOPILOT, MessageData, RADIO};
 use crate::radio::message::{Command, Held, LinkReport, Telemetry};
 use crate::scenario::Scenario;
@@ -431,7 +431,7 @@ pub struct Ask {
 
 /// The command in a packet.
 #[must_use]
-pub fn ask_of<'a>(packet: impl Into<Frame<'a>>) -> Option<Ask> {
+pub fn ask_of<'a>(packet: impl Into<PacketRef<'a>>) -> Option<Ask> {
     let packet = packet.into();
     let on_globe = |[latitude, longitude]: &[f64; 2]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0;
     if let Some(CommandLong { params, command, target, .. }) = CommandLong::of(packet) {

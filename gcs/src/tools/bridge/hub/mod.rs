@@ -16,8 +16,9 @@ use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result};
-use crpl_sitl::link::decoder::{Counts, Decoder};
+use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
+use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::tlog::Tlog;
 use tokio::net::UdpSocket;
 use tokio::time::Instant;

@@ -20,11 +20,12 @@ use std::hash::{DefaultHasher, Hasher};
 use std::time::Duration;
 
 use crpl_sitl::link::encoder::DATAGRAM;
-use crpl_sitl::link::frame::{Frame, Splitter};
 use crpl_sitl::link::messages::command::CommandAck;
 use crpl_sitl::link::messages::service::{Ping, Timesync};
 use crpl_sitl::link::messages::{Target, View};
+use crpl_sitl::link::packet::PacketRef;
 use crpl_sitl::link::sequence::Sequence;
+use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::link::wire;
 
 use super::counters::Counters;
@@ -221,7 +222,7 @@ impl Router {
     }
 
     /// Passes a frame on; whether it was no copy and may be logged.
-    fn route(&mut self, from: LinkId, frame: &Frame<'_>, now: Duration) -> bool {
+    fn route(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> bool {
         if !self.is_new(from, frame, now) {
             return false;
         }
@@ -255,7 +256,7 @@ impl Router {
     }
 
     /// Counts a frame and learns where its sender lives, unless it is a copy.
-    fn is_new(&mut self, from: LinkId, frame: &Frame<'_>, now: Duration) -> bool {
+    fn is_new(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> bool {
         let fingerprint = fingerprint(frame.raw);
         let key = (frame.system, frame.component);
         let copy = self.links.values().any(|link| {
@@ -290,7 +291,7 @@ impl Router {
     }
 
     /// Whether this frame is a setpoint that the flight in control suppresses.
-    fn suppresses_setpoint(&mut self, from: LinkId, frame: &Frame<'_>) -> bool {
+    fn suppresses_setpoint(&mut self, from: LinkId, frame: &PacketRef<'_>) -> bool {
         let Some((vehicle, pilot)) = self.control else { return false };
         let Target { system, .. } = frame.target();
         if let Some(ack) = CommandAck::of(*frame).filter(|_| frame.system == vehicle) {
@@ -333,7 +334,7 @@ impl Router {
     }
 
     /// Times requests and their answers: what a link and those behind it take for a round trip.
-    fn time(&mut self, from: LinkId, frame: &Frame<'_>, now: Duration) {
+    fn time(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) {
         let (asked, is_request) = if let Some(sync) = Timesync::of(*frame) {
             (Asked::Time(frame.id, sync.ts1 as u64), sync.tc1 == 0)
         } else if let Some(ping) = Ping::of(*frame) {
@@ -433,7 +434,7 @@ enum Reach {
 
 /// The command with which a frame takes the vehicle out of the mode in which it is flown from here:
 /// a mode, a way home, down or up, a place, a mission, or its motors off.
-fn mode_command(frame: &Frame<'_>) -> Option<u16> {
+fn mode_command(frame: &PacketRef<'_>) -> Option<u16> {
     const NAV_RETURN_TO_LAUNCH: u16 = 20;
     const NAV_LAND: u16 = 21;
     const NAV_TAKEOFF: u16 = 22;
