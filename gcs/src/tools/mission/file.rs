@@ -58,7 +58,7 @@ impl MissionPlan {
         let home = self.home.or(first.copied()).map_or([0.0; 3], place);
         let items: Vec<Value> = self.items.iter().enumerate().map(|(k, item)| simple_item(k, item)).collect();
         let plan = json!({
-            "fileType": "MissionPlan",
+            "fileType": "Plan",
             "version": 1,
             "groundStation": "gcs",
             "mission": {
@@ -180,8 +180,8 @@ struct PlanItem {
 
 fn parse_plan(text: &str) -> Result<MissionPlan> {
     let file: PlanFile = serde_json::from_str(text)?;
-    if file.file_type != "MissionPlan" {
-        bail!("its fileType is `{}`, not MissionPlan", file.file_type);
+    if file.file_type != "Plan" {
+        bail!("its fileType is `{}`, not Plan", file.file_type);
     }
     let home = match file.mission.planned_home_position.as_deref() {
         None => None,
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     fn null_leaves_a_param_to_the_vehicle() {
-        let text = r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"SimpleItem","command":16,
+        let text = r#"{"fileType":"Plan","mission":{"items":[{"type":"SimpleItem","command":16,
             "frame":3,"params":[0,0,0,null,47.1,8.2,30]}]}}"#;
         let plan = parse(text).unwrap();
         assert!(plan.items[0].params[3].is_nan() && plan.home.is_none());
@@ -290,11 +290,11 @@ mod tests {
             ("QGC WPL 110\n0 1 0 16 0 0 0 0 nan 8 30 1\n", "line 2: its place is not finite"),
             (r#"{"fileType":"Parameters","mission":{"items":[]}}"#, "its fileType is `Parameters`"),
             (
-                r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"ComplexItem","complexItemType":"survey"}]}}"#,
+                r#"{"fileType":"Plan","mission":{"items":[{"type":"ComplexItem","complexItemType":"survey"}]}}"#,
                 "item 0: `survey` is a pattern",
             ),
             (
-                r#"{"fileType":"MissionPlan","mission":{"items":[{"type":"SimpleItem","command":16,"frame":3,"params":[1]}]}}"#,
+                r#"{"fileType":"Plan","mission":{"items":[{"type":"SimpleItem","command":16,"frame":3,"params":[1]}]}}"#,
                 "item 0: 1 params in place of 7",
             ),
         ] {
