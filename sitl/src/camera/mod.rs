@@ -1,4 +1,4 @@
-//! World to frame: 100x100 RGB. [`render`] draws discs on black, [`effects`] makes of that clean frame
+//! World to frame: 100x100 RGB. [`mod@render`] draws discs on black, [`effects`] makes of that clean frame
 //! the one that a real camera would take.
 
 pub mod effects;

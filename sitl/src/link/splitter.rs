@@ -7,7 +7,7 @@
 //!
 //! A reader ([`super::decoder`]) and a router want different packets:
 //!
-//! | bytes | [`Wants::Readable`] | [`Wants::Everything`] |
+//! | bytes | `Wants::Readable` | `Wants::Everything` |
 //! |---|---|---|
 //! | a known message, right checksum | a packet | a packet |
 //! | wrong checksum | counted; of MAVLink 1: garbage | counted |
