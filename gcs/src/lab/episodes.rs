@@ -39,7 +39,7 @@ pub struct Episodes {
 
 /// One controller over all seeds.
 #[derive(Debug, Clone, Serialize)]
-pub struct Row {
+pub struct EpisodesRow {
     /// Who flew.
     pub controller: Controller,
     /// The scenario's name.
@@ -81,11 +81,11 @@ pub fn run(args: &Episodes) -> Result<()> {
     Ok(())
 }
 
-fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[FlightScore]) -> Row {
+fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[FlightScore]) -> EpisodesRow {
     let mean = |metric: Metric| Mean::of(&flights.iter().map(|f| f[metric]).collect::<Vec<_>>());
     let count = |outcome: FlightOutcome| flights.iter().filter(|f| f.is(outcome)).count() as u64;
     let share = |outcome: FlightOutcome| count(outcome) as f64 / flights.len().max(1) as f64;
-    Row {
+    EpisodesRow {
         controller,
         scenario: scenario.name.clone(),
         episodes: flights.len() as u64,
@@ -97,7 +97,7 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
     }
 }
 
-fn show(row: &Row, json: bool) -> Result<()> {
+fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string(row)?);
         return Ok(());

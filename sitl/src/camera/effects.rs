@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::frame::{BLUE, CHANNELS, Frame, GREEN, RED, SIDE};
-use crate::world::noise::{Noise, Stream};
+use crate::units::noise::{Noise, Stream};
 
 /// The effects of one camera. `Default` is the clean one, which changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -226,7 +226,7 @@ mod tests {
         let seed = 6;
         let [mut one, mut other] = [(); 2].map(|()| Sim::new(scenario.clone(), seed));
         for frame in 0..5 {
-            let clean = camera::picture(one.world(), &scenario);
+            let clean = one.world().frame(&scenario);
             let id = FrameId { series: seed, frame };
             let seen = CameraSet::new(&[camera], &Noise::new(seed)).apply(clean.clone(), id);
             assert_eq!(one.frame(), seen);

@@ -6,4 +6,4 @@ pub mod frame;
 pub mod render;
 
 pub use frame::{CHANNELS, COLOURS, Frame, SIDE};
-pub use render::{picture, render, render_all};
+pub use render::{Sizes, render, render_all};

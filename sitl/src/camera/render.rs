@@ -9,9 +9,17 @@
 use nalgebra::Vector2;
 
 use super::frame::{CHANNELS, Frame, OBSTACLE_CHANNELS, RED, SIDE};
-use crate::scenario::Scenario;
-use crate::world::World;
-use crate::world::obstacles::Obstacles;
+use crate::units::Obstacles;
+
+/// What the camera has to know of a scene besides positions.
+pub trait Sizes {
+    /// R_u, units.
+    fn uav_radius(&self) -> f64;
+    /// R_o of each obstacle, units.
+    fn obstacle_radii(&self) -> impl Iterator<Item = f64>;
+    /// w, width of a disc's soft rim, px.
+    fn edge_px(&self) -> f64;
+}
 
 impl Frame {
     /// Puts a disc's coverage into one channel, where `visible` of it is seen. Of two discs in one
@@ -84,19 +92,19 @@ impl Disc {
 
 /// Draws UAV and obstacle at these paper positions.
 #[must_use]
-pub fn render(uav: Vector2<f64>, obstacle: Vector2<f64>, scenario: &Scenario) -> Frame {
-    render_all(uav, &Obstacles::from([obstacle]), scenario)
+pub fn render(uav: Vector2<f64>, obstacle: Vector2<f64>, sizes: &impl Sizes) -> Frame {
+    render_all(uav, &Obstacles::from([obstacle]), sizes)
 }
 
 /// Draws UAV and all obstacles at these paper positions.
 #[must_use]
-pub fn render_all(uav: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario) -> Frame {
+pub fn render_all(uav: Vector2<f64>, obstacles: &Obstacles, sizes: &impl Sizes) -> Frame {
     let px = SIDE as f64;
-    let edge = scenario.camera.edge_px;
-    let red = Disc::new(uav, scenario.uav_radius * px, edge);
+    let edge = sizes.edge_px();
+    let red = Disc::new(uav, sizes.uav_radius() * px, edge);
     let mut frame = Frame::black();
-    for (n, (centre, obstacle)) in obstacles.each(scenario).enumerate() {
-        let disc = Disc::new(centre, obstacle.radius * px, edge);
+    for (n, (centre, radius)) in obstacles.iter().copied().zip(sizes.obstacle_radii()).enumerate() {
+        let disc = Disc::new(centre, radius * px, edge);
         let channel = OBSTACLE_CHANNELS.get(n).copied().unwrap_or(OBSTACLE_CHANNELS[0]);
         frame.paint(channel, &disc, |x, y| 1.0 - red.at(x, y));
     }
@@ -104,14 +112,10 @@ pub fn render_all(uav: Vector2<f64>, obstacles: &Obstacles, scenario: &Scenario)
     frame
 }
 
-/// The picture of a world.
-#[must_use]
-pub fn picture(world: &World, scenario: &Scenario) -> Frame {
-    render_all(world.uav.r, &world.obstacles(), scenario)
-}
-
 #[cfg(test)]
 mod tests {
+    use crate::Scenario;
+
     use super::*;
 
     /// Sum and centre of mass (px) of one channel.

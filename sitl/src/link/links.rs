@@ -52,12 +52,12 @@ pub struct Links {
 #[derive(Debug)]
 enum Port {
     Udp { socket: UdpSocket, peer: Option<SocketAddr> },
-    TcpIn { listener: TcpListener, streams: BTreeMap<SocketAddr, Stream> },
+    TcpIn { listener: TcpListener, streams: BTreeMap<SocketAddr, LinkStream> },
     TcpOut { address: SocketAddr, state: Outward },
 }
 
 enum Outward {
-    Up(Stream),
+    Up(LinkStream),
     Waiting(Pin<Box<Sleep>>),
     Connecting(Pin<Box<dyn Future<Output = io::Result<TcpStream>> + Send>>),
 }
@@ -73,14 +73,14 @@ impl std::fmt::Debug for Outward {
 }
 
 #[derive(Debug)]
-struct Stream {
+struct LinkStream {
     tcp: TcpStream,
     unsent: Vec<u8>,
     /// Told to its user.
     announced: bool,
 }
 
-impl Stream {
+impl LinkStream {
     fn new(tcp: TcpStream) -> Self {
         // Frames are small and wait for nobody.
         let _ = tcp.set_nodelay(true);
@@ -232,7 +232,7 @@ impl Port {
             return Ok(Self::TcpIn { listener, streams: BTreeMap::new() });
         }
         match TcpStream::connect(address).await {
-            Ok(tcp) => Ok(Self::TcpOut { address, state: Outward::Up(Stream::new(tcp)) }),
+            Ok(tcp) => Ok(Self::TcpOut { address, state: Outward::Up(LinkStream::new(tcp)) }),
             Err(source) => Err(OpenError::Connect { endpoint: endpoint.clone(), address, source }),
         }
     }
@@ -258,7 +258,7 @@ impl Port {
 
 fn poll_listener(
     listener: &TcpListener,
-    streams: &mut BTreeMap<SocketAddr, Stream>,
+    streams: &mut BTreeMap<SocketAddr, LinkStream>,
     endpoint: usize,
     cx: &mut Context<'_>,
     buffer: &mut [u8],
@@ -266,7 +266,7 @@ fn poll_listener(
     while let Poll::Ready((tcp, address)) = listener.poll_accept(cx)? {
         // One too many is closed at once.
         if streams.len() < MAX_STREAMS {
-            let stream = Stream { announced: true, ..Stream::new(tcp) };
+            let stream = LinkStream { announced: true, ..LinkStream::new(tcp) };
             streams.insert(address, stream);
             return Poll::Ready(Ok(Arrival::Connected(PeerId { endpoint, address })));
         }
@@ -303,7 +303,7 @@ fn poll_outward(
                 *state = Outward::Connecting(Box::pin(TcpStream::connect(address)));
             }
             Outward::Connecting(attempt) => match attempt.as_mut().poll(cx) {
-                Poll::Ready(Ok(tcp)) => *state = Outward::Up(Stream::new(tcp)),
+                Poll::Ready(Ok(tcp)) => *state = Outward::Up(LinkStream::new(tcp)),
                 Poll::Ready(Err(error)) => {
                     tracing::debug!(%address, "connecting: {error}");
                     *state = later();

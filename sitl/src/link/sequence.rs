@@ -11,7 +11,7 @@ pub struct Sequence {
 
 /// What a sequence number tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Heard {
+pub struct SequenceTracker {
     /// Frames missing between the newest one before and this one.
     pub missing: u64,
     /// Whether this one was missing until now: it was overtaken on the way, not lost.
@@ -21,18 +21,18 @@ pub struct Heard {
 impl Sequence {
     /// Takes the number of the next frame. A step of more than half the range is one backwards: a late
     /// frame, or a sender that begins anew.
-    pub fn next(&mut self, number: u8) -> Heard {
+    pub fn next(&mut self, number: u8) -> SequenceTracker {
         let newest = self.newest.unwrap_or(number.wrapping_sub(1));
         let step = number.wrapping_sub(newest);
         if step == 0 || step > 128 {
-            return Heard { missing: 0, late: self.set(number, false) };
+            return SequenceTracker { missing: 0, late: self.set(number, false) };
         }
         for passed in 1..step {
             self.set(newest.wrapping_add(passed), true);
         }
         self.set(number, false);
         self.newest = Some(number);
-        Heard { missing: u64::from(step - 1), late: false }
+        SequenceTracker { missing: u64::from(step - 1), late: false }
     }
 
     /// Notes whether a number is missing; gives whether it was.

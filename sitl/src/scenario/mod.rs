@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
+use crate::camera::Sizes;
 use crate::camera::effects::Effects;
 use crate::units::{MAX_OBSTACLES, Scale};
 
@@ -55,6 +56,20 @@ pub struct Scenario {
     pub failsafe: Failsafe,
     /// How the vehicle flies by itself: missions, return, landing.
     pub autopilot: Autopilot,
+}
+
+impl Sizes for Scenario {
+    fn uav_radius(&self) -> f64 {
+        self.uav_radius
+    }
+
+    fn obstacle_radii(&self) -> impl Iterator<Item = f64> {
+        self.obstacles.iter().map(|obstacle| obstacle.radius)
+    }
+
+    fn edge_px(&self) -> f64 {
+        self.camera.edge_px
+    }
 }
 
 impl Default for Scenario {

@@ -10,8 +10,8 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
+use crate::camera::Frame;
 use crate::camera::effects::FrameId;
-use crate::camera::{self, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
 use crate::scenario::Scenario;
@@ -178,7 +178,7 @@ impl Sim {
     /// The picture at the start of this tick.
     #[must_use]
     pub fn frame(&self) -> Frame {
-        let clean = camera::picture(&self.world, &self.scenario);
+        let clean = self.world.frame(&self.scenario);
         let id = FrameId { series: self.seed, frame: self.tick.0 };
         self.scenario.camera.effects.apply(clean, id, &self.noise)
     }

@@ -1,10 +1,11 @@
 //! Quantities that are easily mixed up, and the scale between the paper's square and NED metres.
 
 mod action;
+pub mod noise;
 mod per_obstacle;
 
 pub use action::{Motion, NoSuchPower, TxPower};
-pub use per_obstacle::{MAX_OBSTACLES, PerObstacle};
+pub use per_obstacle::{MAX_OBSTACLES, Obstacles, PerObstacle};
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};

@@ -1,5 +1,6 @@
 //! One value for each obstacle: a short list that is copied like an array.
 
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of obstacles in a scenario. The wire allows nine: the name of a DEBUG_VECT has ten
@@ -13,6 +14,9 @@ pub struct PerObstacle<T> {
     items: [T; MAX_OBSTACLES],
     len: usize,
 }
+
+/// Centres of the obstacles r_u, paper units.
+pub type Obstacles = PerObstacle<Vector2<f64>>;
 
 impl<T: Copy + Default> FromIterator<T> for PerObstacle<T> {
     /// Values beyond [`MAX_OBSTACLES`] are left out; [`crate::Scenario::check`] refuses so many obstacles.

@@ -54,7 +54,7 @@ const HOVER_THROTTLE: f32 = 35.0;
 
 /// What messages are made of: the vehicle at one moment.
 #[derive(Debug, Clone)]
-pub(super) struct State {
+pub(super) struct VehicleState {
     pub report: Telemetry,
     pub clock: Clock,
     pub system: u8,
@@ -113,17 +113,17 @@ pub(super) struct Row {
     pub id: u32,
     pub component: u8,
     pub goes: Goes,
-    push: fn(&State, &mut Encoder, &mut Vec<u8>),
+    push: fn(&VehicleState, &mut Encoder, &mut Vec<u8>),
 }
 
 impl Row {
     /// Whether there is something to tell: the radio has no report before its first interval.
-    pub fn ready(&self, state: &State) -> bool {
+    pub fn ready(&self, state: &VehicleState) -> bool {
         self.component != RADIO || self.goes != Goes::Percept || state.report.link.is_some()
     }
 
     /// Appends the message, if it is ready. `encoder` must be that of [`Row::component`].
-    pub fn push(&self, state: &State, encoder: &mut Encoder, datagram: &mut Vec<u8>) {
+    pub fn push(&self, state: &VehicleState, encoder: &mut Encoder, datagram: &mut Vec<u8>) {
         if self.ready(state) {
             (self.push)(state, encoder, datagram);
         }
@@ -149,16 +149,16 @@ macro_rules! row {
 }
 
 /// A message of the percept: the same bytes as in the report.
-const fn percept(id: u32, component: u8, push: fn(&State, &mut Encoder, &mut Vec<u8>)) -> Row {
+const fn percept(id: u32, component: u8, push: fn(&VehicleState, &mut Encoder, &mut Vec<u8>)) -> Row {
     Row { id, component, goes: Goes::Percept, push }
 }
 
 /// All rows, in the order of the table above.
 pub(super) static ROWS: &[Row] = &[
-    row!(HEARTBEAT_DATA, Goes::Heartbeat, |state: &State| {
+    row!(HEARTBEAT_DATA, Goes::Heartbeat, |state: &VehicleState| {
         autopilot_heartbeat(&state.conduct, state.system_status)
     }),
-    Row { component: RADIO, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &State| radio_heartbeat()) },
+    Row { component: RADIO, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &VehicleState| radio_heartbeat()) },
     percept(dialect::LOCAL_POSITION_NED_DATA::ID, AUTOPILOT, |state, encoder, datagram| {
         wire::push_position(&state.report, &state.clock, state.height.ned(), encoder, datagram);
     }),
@@ -184,12 +184,14 @@ pub(super) static ROWS: &[Row] = &[
     row!(VFR_HUD_DATA, Goes::Stream(4.0, Group::Extra2), hud),
     row!(NAV_CONTROLLER_OUTPUT_DATA, Goes::Stream(2.0, Group::Extra1), navigation),
     row!(GPS_RAW_INT_DATA, Goes::Stream(2.0, Group::ExtendedStatus), gps),
-    row!(LINK_NODE_STATUS_DATA, Goes::OnRequest, |state: &State| state.traffic.clone()),
+    row!(LINK_NODE_STATUS_DATA, Goes::OnRequest, |state: &VehicleState| state.traffic.clone()),
     row!(SYS_STATUS_DATA, Goes::Stream(1.0, Group::ExtendedStatus), system_status),
     row!(SYSTEM_TIME_DATA, Goes::Stream(1.0, Group::Extra3), system_time),
     row!(EXTENDED_SYS_STATE_DATA, Goes::Stream(1.0, Group::ExtendedStatus), extended_state),
-    row!(BATTERY_STATUS_DATA, Goes::Stream(0.5, Group::Extra3), |state: &State| state.battery.status()),
-    row!(MISSION_CURRENT_DATA, Goes::Stream(1.0, Group::ExtendedStatus), |state: &State| {
+    row!(BATTERY_STATUS_DATA, Goes::Stream(0.5, Group::Extra3), |state: &VehicleState| state
+        .battery
+        .status()),
+    row!(MISSION_CURRENT_DATA, Goes::Stream(1.0, Group::ExtendedStatus), |state: &VehicleState| {
         state.mission.clone()
     }),
     row!(HOME_POSITION_DATA, Goes::Stream(0.5, Group::Extra3), home_position),
@@ -198,7 +200,7 @@ pub(super) static ROWS: &[Row] = &[
     row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
 ];
 
-impl State {
+impl VehicleState {
     /// `time_boot_ms` of the state.
     pub fn boot_ms(&self) -> u32 {
         self.clock.boot_ms(self.report.tick)
@@ -230,12 +232,12 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
 }
 
 /// Level but for the tilt; between two ticks the acceleration is constant, so nothing turns.
-fn attitude(state: &State) -> dialect::ATTITUDE_DATA {
+fn attitude(state: &VehicleState) -> dialect::ATTITUDE_DATA {
     let [roll, pitch] = geodesy::tilt(state.accel);
     dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
 }
 
-fn quaternion(state: &State) -> dialect::ATTITUDE_QUATERNION_DATA {
+fn quaternion(state: &VehicleState) -> dialect::ATTITUDE_QUATERNION_DATA {
     let [roll, pitch] = geodesy::tilt(state.accel).map(|angle| angle / 2.0);
     dialect::ATTITUDE_QUATERNION_DATA {
         time_boot_ms: state.boot_ms(),
@@ -248,7 +250,7 @@ fn quaternion(state: &State) -> dialect::ATTITUDE_QUATERNION_DATA {
 }
 
 /// The air stands still: speed over the ground is speed through the air. Throttle is lift and tilt's.
-fn hud(state: &State) -> dialect::VFR_HUD_DATA {
+fn hud(state: &VehicleState) -> dialect::VFR_HUD_DATA {
     let [north, east] = state.report.velocity;
     let speed = north.hypot(east);
     let [roll, pitch] = geodesy::tilt(state.accel);
@@ -263,7 +265,7 @@ fn hud(state: &State) -> dialect::VFR_HUD_DATA {
     }
 }
 
-fn navigation(state: &State) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
+fn navigation(state: &VehicleState) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
     let [roll, pitch] = geodesy::tilt(state.accel);
     let target = state.target.map_or(state.report.position, |target| state.scale.ned_from_paper(target));
     let [north, east] = [0, 1].map(|axis| target[axis] - state.report.position[axis]);
@@ -278,7 +280,7 @@ fn navigation(state: &State) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
     }
 }
 
-fn gps(state: &State) -> dialect::GPS_RAW_INT_DATA {
+fn gps(state: &VehicleState) -> dialect::GPS_RAW_INT_DATA {
     let [lat, lon] = geodesy::latitude_longitude(state.report.position);
     let [north, east] = state.report.velocity;
     let course = east.atan2(north).to_degrees().rem_euclid(360.0);
@@ -297,7 +299,7 @@ fn gps(state: &State) -> dialect::GPS_RAW_INT_DATA {
     }
 }
 
-fn global_position(state: &State) -> dialect::GLOBAL_POSITION_INT_DATA {
+fn global_position(state: &VehicleState) -> dialect::GLOBAL_POSITION_INT_DATA {
     let [lat, lon] = geodesy::latitude_longitude(state.report.position);
     let [vx, vy] = state.report.velocity.map(|speed| (speed * 100.0).round() as i16);
     dialect::GLOBAL_POSITION_INT_DATA {
@@ -319,7 +321,7 @@ fn millimetres(metres: f64) -> i32 {
 
 /// Nothing is measured: positions are the simulator's truth, told as a fix of perfect sensors, for
 /// which MAVSDK's programs wait. No fence is breached, as there is none. Packets lost are the radio's.
-fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
+fn system_status(state: &VehicleState) -> dialect::SYS_STATUS_DATA {
     let sensors = MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_EXTERNAL_GROUND_TRUTH
         | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
         | MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -352,7 +354,7 @@ fn system_status(state: &State) -> dialect::SYS_STATUS_DATA {
     }
 }
 
-fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
+fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
     let [latitude, longitude] = state.launch;
     let [x, y] = state.start;
     dialect::HOME_POSITION_DATA {
@@ -367,18 +369,18 @@ fn home_position(state: &State) -> dialect::HOME_POSITION_DATA {
     }
 }
 
-fn origin(state: &State) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
+fn origin(state: &VehicleState) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
     let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
     let time_usec = u64::from(state.boot_ms()) * 1000;
     dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(HOME[2]), time_usec }
 }
 
-fn system_time(state: &State) -> dialect::SYSTEM_TIME_DATA {
+fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {
     let time_unix_usec = state.unix.map_or(0, |unix| unix.as_micros() as u64);
     dialect::SYSTEM_TIME_DATA { time_unix_usec, time_boot_ms: state.boot_ms() }
 }
 
-fn extended_state(state: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
+fn extended_state(state: &VehicleState) -> dialect::EXTENDED_SYS_STATE_DATA {
     let landed_state = match state.conduct {
         Conduct { climbing: true, .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
         _ if state.height.on_ground() => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
@@ -389,7 +391,7 @@ fn extended_state(state: &State) -> dialect::EXTENDED_SYS_STATE_DATA {
 }
 
 /// What the vehicle can do, and nothing else: no file transfer, no fence.
-pub(super) fn version(state: &State) -> dialect::AUTOPILOT_VERSION_DATA {
+pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
     dialect::AUTOPILOT_VERSION_DATA {
         capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
@@ -404,6 +406,6 @@ pub(super) fn version(state: &State) -> dialect::AUTOPILOT_VERSION_DATA {
 }
 
 /// MAVLink 2 is spoken, and nothing older.
-fn protocol(_: &State) -> dialect::PROTOCOL_VERSION_DATA {
+fn protocol(_: &VehicleState) -> dialect::PROTOCOL_VERSION_DATA {
     dialect::PROTOCOL_VERSION_DATA { version: 200, min_version: 200, max_version: 200, ..Default::default() }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::link::sequence::Heard;
+use crate::link::sequence::SequenceTracker;
 use crate::link::splitter::Counts;
 use crate::link::{dialect, signing};
 
@@ -41,7 +41,7 @@ impl Meter {
     }
 
     /// A frame has come: how many are missing before it, or that it was missing itself.
-    pub fn numbered(&mut self, heard: Heard) {
+    pub fn numbered(&mut self, heard: SequenceTracker) {
         self.lost += heard.missing;
         self.lost -= u64::from(heard.late);
     }

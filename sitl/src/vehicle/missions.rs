@@ -28,7 +28,7 @@ use std::time::Duration;
 
 use super::Vehicle;
 use super::modes::Mode;
-use super::plan::{Fault, Item, Plan};
+use super::plan::{Fault, StoredItem, StoredMission};
 use crate::link::dialect::{self, MavMissionResult, MavMissionType, MavResult};
 use crate::link::messages::View;
 use crate::link::messages::mission::{
@@ -49,11 +49,11 @@ const ACCEPTED: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
 
 /// A mission on its way up.
 #[derive(Debug, Clone)]
-pub(super) struct Upload {
+pub(super) struct MissionUpload {
     from: PeerId,
     asker: (u8, u8),
     /// The list that it will be: the old items where a partial upload leaves them.
-    items: Vec<Item>,
+    items: Vec<StoredItem>,
     /// The item that is asked for.
     next: u16,
     /// One behind the last.
@@ -62,7 +62,7 @@ pub(super) struct Upload {
     due: Duration,
 }
 
-impl Upload {
+impl MissionUpload {
     /// When the item is asked for again.
     pub fn due(&self) -> Duration {
         self.due
@@ -153,7 +153,7 @@ impl Vehicle {
     }
 
     fn tell_item(&mut self, seq: u16, as_int: bool, asker: (u8, u8), to: PeerId) {
-        let home = (seq == 0).then(|| Item::home(self.launch()));
+        let home = (seq == 0).then(|| StoredItem::home(self.launch()));
         let Some(item) = home.or_else(|| self.plan.items().get(usize::from(seq)).copied()) else {
             return self.mission_ack(MavMissionResult::MAV_MISSION_INVALID_SEQUENCE, MISSION, asker, to);
         };
@@ -170,7 +170,7 @@ impl Vehicle {
         &mut self,
         first: u16,
         end: u16,
-        items: Vec<Item>,
+        items: Vec<StoredItem>,
         asker: (u8, u8),
         from: PeerId,
         now: Duration,
@@ -185,12 +185,13 @@ impl Vehicle {
             self.install(Vec::new());
             return self.mission_ack(ACCEPTED, MISSION, asker, from);
         }
-        self.upload = Some(Upload { from, asker, items, next: first, end, tries: 0, due: now + PATIENCE });
+        self.upload =
+            Some(MissionUpload { from, asker, items, next: first, end, tries: 0, due: now + PATIENCE });
         self.request_item();
     }
 
     fn request_item(&mut self) {
-        let Some(&Upload { from, asker, next: seq, tries, .. }) = self.upload.as_ref() else { return };
+        let Some(&MissionUpload { from, asker, next: seq, tries, .. }) = self.upload.as_ref() else { return };
         let ((target_system, target_component), mission_type) = (asker, MISSION);
         if tries % 2 == 0 {
             let request =
@@ -209,7 +210,7 @@ impl Vehicle {
         let Some(expected) = expected.map(|upload| upload.next) else {
             return self.mission_ack(MavMissionResult::MAV_MISSION_ERROR, MISSION, asker, from);
         };
-        let (seq, item) = (sent.seq, Item::of(sent, place));
+        let (seq, item) = (sent.seq, StoredItem::of(sent, place));
         if seq != expected {
             return self.request_item();
         }
@@ -229,7 +230,7 @@ impl Vehicle {
             return self.request_item();
         }
         let items = std::mem::take(&mut upload.items);
-        if let Err(Fault { result, why }) = Plan::check(&items) {
+        if let Err(Fault { result, why }) = StoredMission::check(&items) {
             self.upload = None;
             self.refused("mission", &format!("mission refused: {why}"), now);
             return self.mission_ack(result, MISSION, asker, from);
@@ -239,14 +240,14 @@ impl Vehicle {
         self.mission_ack(ACCEPTED, MISSION, asker, from);
     }
 
-    fn install(&mut self, items: Vec<Item>) {
+    fn install(&mut self, items: Vec<StoredItem>) {
         self.upload = None;
-        self.plan = Plan::new(items);
+        self.plan = StoredMission::new(items);
     }
 
     /// The station has given up its upload.
     fn upload_ended(&mut self, result: u8, asker: (u8, u8), from: PeerId) {
-        let is_theirs = |upload: &Upload| (upload.from, upload.asker) == (from, asker);
+        let is_theirs = |upload: &MissionUpload| (upload.from, upload.asker) == (from, asker);
         if result != ACCEPTED as u8 && self.upload.as_ref().is_some_and(is_theirs) {
             self.upload = None;
         }

@@ -53,7 +53,7 @@ use crate::link::encoder::Encoder;
 use crate::link::messages::View;
 use crate::link::messages::service::SetupSigning;
 use crate::link::packet::Packet;
-use crate::link::sequence::{Heard, Sequence};
+use crate::link::sequence::{Sequence, SequenceTracker};
 use crate::link::signing::{self, Key, Origin, Rejection, Signing};
 use crate::link::splitter::Counts;
 use crate::link::wire::{Clock, Refusal};
@@ -65,9 +65,9 @@ use battery::Battery;
 use failsafe::LossOfLink;
 use height::Height;
 use meter::Meter;
-use missions::Upload;
+use missions::MissionUpload;
 use modes::Conduct;
-use plan::Plan;
+use plan::StoredMission;
 use rates::Rates;
 
 /// Peers that are served at a time; the one silent for longest makes room for a new one.
@@ -89,8 +89,8 @@ pub struct Vehicle {
     conduct: Conduct,
     height: Height,
     loss_of_link: LossOfLink,
-    plan: Plan,
-    upload: Option<Upload>,
+    plan: StoredMission,
+    upload: Option<MissionUpload>,
     battery: Battery,
     peers: BTreeMap<PeerId, Peer>,
     outbox: VecDeque<(PeerId, Vec<u8>)>,
@@ -214,7 +214,7 @@ impl Peer {
 
 impl Peer {
     /// What the number of a frame tells.
-    fn number(&mut self, packet: &Packet) -> Heard {
+    fn number(&mut self, packet: &Packet) -> SequenceTracker {
         let from = (packet.system, packet.component);
         if let Some((_, known)) = self.sequences.iter_mut().find(|(sender, _)| *sender == from) {
             return known.next(packet.sequence);
@@ -243,7 +243,7 @@ impl Vehicle {
             conduct: Conduct::flying(),
             height: Height::hovering(sim.scenario().scale.altitude_m),
             loss_of_link: LossOfLink::default(),
-            plan: Plan::default(),
+            plan: StoredMission::default(),
             upload: None,
             sim,
             system,

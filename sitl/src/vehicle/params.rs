@@ -41,7 +41,7 @@ use crate::sim::Sim;
 use crate::units::{MAX_OBSTACLES, TxPower};
 
 /// A parameter's place in its component's table, its name and what it holds.
-struct Param {
+struct ParamSlot {
     name: &'static str,
     kind: MavParamType,
     holds: Holds,
@@ -72,37 +72,37 @@ const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
 /// MAVSDK knows no narrower integer.
 const INT: MavParamType = MavParamType::MAV_PARAM_TYPE_INT32;
 
-const fn rate(name: &'static str, id: u32) -> Param {
-    Param { name, kind: REAL, holds: Holds::Rate(id) }
+const fn rate(name: &'static str, id: u32) -> ParamSlot {
+    ParamSlot { name, kind: REAL, holds: Holds::Rate(id) }
 }
 
-const fn of(name: &'static str, get: Get) -> Param {
-    Param { name, kind: REAL, holds: Holds::Of(get) }
+const fn of(name: &'static str, get: Get) -> ParamSlot {
+    ParamSlot { name, kind: REAL, holds: Holds::Of(get) }
 }
 
-const fn real(name: &'static str, get: Get, set: Set) -> Param {
-    Param { name, kind: REAL, holds: Holds::Setting(get, set) }
+const fn real(name: &'static str, get: Get, set: Set) -> ParamSlot {
+    ParamSlot { name, kind: REAL, holds: Holds::Setting(get, set) }
 }
 
-const fn int(name: &'static str, get: Get, set: Set) -> Param {
-    Param { name, kind: INT, holds: Holds::Setting(get, set) }
+const fn int(name: &'static str, get: Get, set: Set) -> ParamSlot {
+    ParamSlot { name, kind: INT, holds: Holds::Setting(get, set) }
 }
 
-const fn of_obstacle(index: usize, [radius, north, east]: [&'static str; 3]) -> [Param; 3] {
+const fn of_obstacle(index: usize, [radius, north, east]: [&'static str; 3]) -> [ParamSlot; 3] {
     [
-        Param { name: radius, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.radius) },
-        Param { name: north, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.y) },
-        Param { name: east, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.x) },
+        ParamSlot { name: radius, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.radius) },
+        ParamSlot { name: north, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.y) },
+        ParamSlot { name: east, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.x) },
     ]
 }
 
-const fn count(name: &'static str, get: fn(&Counts) -> u64) -> Param {
-    Param { name, kind: INT, holds: Holds::Count(get) }
+const fn count(name: &'static str, get: fn(&Counts) -> u64) -> ParamSlot {
+    ParamSlot { name, kind: INT, holds: Holds::Count(get) }
 }
 
 /// The autopilot's table up to the obstacles.
-static OF_AUTOPILOT: &[Param] = &[
-    Param { name: "SYSID_THISMAV", kind: INT, holds: Holds::System },
+static OF_AUTOPILOT: &[ParamSlot] = &[
+    ParamSlot { name: "SYSID_THISMAV", kind: INT, holds: Holds::System },
     rate("RATE_ATTITUDE", dialect::ATTITUDE_DATA::ID),
     rate("RATE_QUATERNION", dialect::ATTITUDE_QUATERNION_DATA::ID),
     rate("RATE_GLOBAL", dialect::GLOBAL_POSITION_INT_DATA::ID),
@@ -130,7 +130,7 @@ static OF_AUTOPILOT: &[Param] = &[
     real("WP_SPEED", |s| s.autopilot.speed_mps, |s, v| s.autopilot.speed_mps = v),
     real("WP_RADIUS", |s| s.autopilot.acceptance_m, |s, v| s.autopilot.acceptance_m = v),
     real("CLIMB_SPEED", |s| s.autopilot.climb_mps, |s, v| s.autopilot.climb_mps = v),
-    Param { name: "SIGN_REQUIRED", kind: INT, holds: Holds::SignRequired },
+    ParamSlot { name: "SIGN_REQUIRED", kind: INT, holds: Holds::SignRequired },
     int(
         "RADIO_RULE",
         |s| RULES.iter().position(|&rule| rule == s.radio.rule).unwrap_or(0) as f64,
@@ -165,7 +165,7 @@ static OF_AUTOPILOT: &[Param] = &[
 ];
 
 /// Between the two parts of the autopilot's table, as many rows as the scenario has obstacles.
-static OF_OBSTACLES: [[Param; 3]; MAX_OBSTACLES] = [
+static OF_OBSTACLES: [[ParamSlot; 3]; MAX_OBSTACLES] = [
     of_obstacle(0, ["OBST_RADIUS", "OBST_N", "OBST_E"]),
     of_obstacle(1, ["OBST2_RADIUS", "OBST2_N", "OBST2_E"]),
     of_obstacle(2, ["OBST3_RADIUS", "OBST3_N", "OBST3_E"]),
@@ -176,7 +176,7 @@ static OF_OBSTACLES: [[Param; 3]; MAX_OBSTACLES] = [
     of_obstacle(7, ["OBST8_RADIUS", "OBST8_N", "OBST8_E"]),
 ];
 
-static AFTER_OBSTACLES: &[Param] = &[
+static AFTER_OBSTACLES: &[ParamSlot] = &[
     real("START_N", |s| metres(s, s.start.y), |s, v| s.start.y = units(s, v)),
     real("START_E", |s| metres(s, s.start.x), |s, v| s.start.x = units(s, v)),
     real("GOAL_N", |s| metres(s, s.goal.y), |s, v| s.goal.y = units(s, v)),
@@ -192,11 +192,11 @@ static AFTER_OBSTACLES: &[Param] = &[
     count("STAT_RX_V1", |c| c.mavlink1),
     count("STAT_RX_INCOMP", |c| c.incompatible),
     count("STAT_RX_GARBAGE", |c| c.garbage_bytes),
-    Param { name: "STAT_SETPOINTS", kind: INT, holds: Holds::Setpoints },
-    Param { name: "STAT_SETP_REFD", kind: INT, holds: Holds::RefusedSetpoints },
+    ParamSlot { name: "STAT_SETPOINTS", kind: INT, holds: Holds::Setpoints },
+    ParamSlot { name: "STAT_SETP_REFD", kind: INT, holds: Holds::RefusedSetpoints },
 ];
 
-static OF_RADIO: &[Param] = &[Param { name: "RADIO_TXP", kind: REAL, holds: Holds::TxPower }];
+static OF_RADIO: &[ParamSlot] = &[ParamSlot { name: "RADIO_TXP", kind: REAL, holds: Holds::TxPower }];
 
 /// In the order of their numbers.
 const RULES: [Rule; 3] = [Rule::Ideal, Rule::Drop, Rule::Queue];
@@ -259,7 +259,7 @@ impl Vehicle {
     }
 
     /// A component's table, in the order of its indices.
-    fn table(&self, component: u8) -> Vec<&'static Param> {
+    fn table(&self, component: u8) -> Vec<&'static ParamSlot> {
         if component == RADIO {
             return OF_RADIO.iter().collect();
         }
@@ -399,7 +399,7 @@ impl Vehicle {
         }
     }
 
-    fn value(&self, param: &Param) -> f64 {
+    fn value(&self, param: &ParamSlot) -> f64 {
         match param.holds {
             Holds::System => f64::from(self.system),
             Holds::Rate(id) => self.default_hz(id),
@@ -417,7 +417,7 @@ impl Vehicle {
     }
 
     /// Takes a value if the parameter can have it. Whether it holds that value now, or is read only.
-    fn assign(&mut self, param: &Param, value: f32, now: Duration) -> bool {
+    fn assign(&mut self, param: &ParamSlot, value: f32, now: Duration) -> bool {
         if !param.is_settable() {
             return true;
         }
@@ -457,7 +457,7 @@ impl Vehicle {
     }
 }
 
-impl Param {
+impl ParamSlot {
     fn is_settable(&self) -> bool {
         matches!(
             self.holds,

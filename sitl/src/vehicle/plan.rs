@@ -67,7 +67,7 @@ const MAX_STEPS: usize = 64;
 
 /// An item as it was uploaded.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Item {
+pub(super) struct StoredItem {
     command: u16,
     frame: u8,
     params: [f32; 4],
@@ -85,7 +85,7 @@ pub(super) struct Fault {
     pub why: &'static str,
 }
 
-impl Item {
+impl StoredItem {
     /// The item of a message, at `place`.
     pub fn of(sent: &MissionItem, place: Place) -> Self {
         let MissionItem { params, z, command, frame, autocontinue, .. } = *sent;
@@ -97,7 +97,7 @@ impl Item {
         Self { command, frame, params, x, y, z, autocontinue }
     }
 
-    /// Item 0: where the vehicle returns to.
+    /// StoredItem 0: where the vehicle returns to.
     pub fn home([x, y]: [i32; 2]) -> Self {
         let z = geodesy::HOME[2] as f32;
         Self { command: WAYPOINT, frame: 0, params: [0.0; 4], x, y, z, autocontinue: 1 }
@@ -148,7 +148,7 @@ impl Item {
         }
     }
 
-    // Item 0 may be anything, and is told as home; all others have passed `Vehicle::fault`.
+    // StoredItem 0 may be anything, and is told as home; all others have passed `Vehicle::fault`.
     fn typed_command(&self) -> MavCmd {
         COMMANDS.iter().find(|(number, _)| *number == self.command).map_or(COMMANDS[0].1, |(_, known)| *known)
     }
@@ -182,8 +182,8 @@ fn per_unit(frame: u8) -> f64 {
 
 /// A mission and how far it is flown.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Plan {
-    items: Vec<Item>,
+pub(super) struct StoredMission {
+    items: Vec<StoredItem>,
     current: u16,
     /// Intervals since the current item's point was reached.
     arrived: Option<u64>,
@@ -193,23 +193,23 @@ pub(super) struct Plan {
     begun: bool,
 }
 
-impl Plan {
+impl StoredMission {
     /// A mission that nobody has begun.
-    pub fn new(items: Vec<Item>) -> Self {
+    pub fn new(items: Vec<StoredItem>) -> Self {
         Self { current: u16::from(items.len() > 1), items, ..Self::default() }
     }
 
     /// Whether the items fit together: jumps need somewhere to go.
-    pub fn check(items: &[Item]) -> Result<(), Fault> {
+    pub fn check(items: &[StoredItem]) -> Result<(), Fault> {
         let lost =
-            |item: &&Item| item.command == JUMP && !(1.0..items.len() as f32).contains(&item.params[0]);
+            |item: &&StoredItem| item.command == JUMP && !(1.0..items.len() as f32).contains(&item.params[0]);
         let why = "a jump leads out of it";
         let fault = Fault { result: MavMissionResult::MAV_MISSION_INVALID_PARAM1, why };
         items.iter().skip(1).find(lost).map_or(Ok(()), |_| Err(fault))
     }
 
     /// All items, home first.
-    pub fn items(&self) -> &[Item] {
+    pub fn items(&self) -> &[StoredItem] {
         &self.items
     }
 
@@ -220,7 +220,7 @@ impl Plan {
 
     /// The current item's point, north and east, m.
     pub fn place(&self) -> Option<[f32; 2]> {
-        self.items.get(usize::from(self.current)).and_then(Item::place)
+        self.items.get(usize::from(self.current)).and_then(StoredItem::place)
     }
 
     /// Goes on with that item, if there is one.
@@ -285,7 +285,7 @@ impl Plan {
 
 impl Vehicle {
     /// What keeps an item from being flown.
-    pub(super) fn fault(&self, item: &Item) -> Result<(), Fault> {
+    pub(super) fn fault(&self, item: &StoredItem) -> Result<(), Fault> {
         let no = |result, why| Err(Fault { result, why });
         if !COMMANDS.iter().any(|(number, _)| *number == item.command) {
             return no(MavMissionResult::MAV_MISSION_UNSUPPORTED, "its command is not flown");
@@ -377,7 +377,7 @@ impl Vehicle {
     }
 
     /// Whether the vehicle has been long enough where this item wants it.
-    fn done(&mut self, item: &Item, place: Option<Vector2<f64>>, now: Duration) -> bool {
+    fn done(&mut self, item: &StoredItem, place: Option<Vector2<f64>>, now: Duration) -> bool {
         let Some(intervals) = self.plan.arrived else {
             let acceptance = f64::from(item.params[1]);
             let there = place.is_none_or(|place| {
@@ -402,7 +402,7 @@ impl Vehicle {
         item.command != LOITER_UNLIM && intervals as f64 * self.clock.interval_s() >= seconds_held(item)
     }
 
-    fn jump(&mut self, seq: u16, item: &Item) {
+    fn jump(&mut self, seq: u16, item: &StoredItem) {
         let times = item.params[1];
         let jumped = self.plan.jumps.entry(seq).or_default();
         let again = times < 0.0 || f64::from(*jumped) < f64::from(times);
@@ -429,7 +429,7 @@ impl Vehicle {
 }
 
 /// How long an item stays at its point.
-fn seconds_held(item: &Item) -> f64 {
+fn seconds_held(item: &StoredItem) -> f64 {
     match item.command {
         // A number that is none becomes no time at all.
         WAYPOINT | LOITER_TIME | DELAY => f64::from(item.params[0].max(0.0)),

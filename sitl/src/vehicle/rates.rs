@@ -30,11 +30,11 @@ const HEARTBEAT_US: i32 = 1_000_000;
 /// The streams of a peer.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Rates {
-    streams: BTreeMap<u32, Stream>,
+    streams: BTreeMap<u32, RateStream>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Stream {
+struct RateStream {
     every: Duration,
     due: Duration,
 }
@@ -43,7 +43,7 @@ impl Rates {
     /// Sends a message so often from now on, or no longer.
     pub fn set(&mut self, id: u32, every: Option<Duration>, now: Duration) {
         match every {
-            Some(every) => self.streams.insert(id, Stream { every, due: now }),
+            Some(every) => self.streams.insert(id, RateStream { every, due: now }),
             None => self.streams.remove(&id),
         };
     }

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use super::messages::{self, Row, State};
-use super::missions::Upload;
+use super::messages::{self, Row, VehicleState};
+use super::missions::MissionUpload;
 use super::modes::Mode;
 use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
 use crate::link::dialect::{self, MavSeverity};
@@ -52,7 +52,7 @@ impl Vehicle {
     #[must_use]
     pub fn next_stream(&self) -> Option<Duration> {
         let streams = self.peers.values().filter_map(|peer| peer.rates.due());
-        streams.chain(self.upload.as_ref().map(Upload::due)).min()
+        streams.chain(self.upload.as_ref().map(MissionUpload::due)).min()
     }
 
     /// Sends every stream that is due, and what an unfinished upload waits for.
@@ -77,10 +77,10 @@ impl Vehicle {
     }
 
     /// What messages are made of, now.
-    pub(super) fn state(&self, now: Duration) -> State {
+    pub(super) fn state(&self, now: Duration) -> VehicleState {
         let scenario = self.sim.scenario();
         let flown = self.sim.flown() * scenario.dynamics.a_max;
-        State {
+        VehicleState {
             conduct: self.conduct,
             height: self.height,
             system_status: self.system_status(),

@@ -5,12 +5,13 @@
 pub mod channel;
 pub mod dynamics;
 pub mod energy;
-pub mod noise;
 pub mod obstacles;
 pub mod safety;
 
+pub use crate::units::noise;
 use nalgebra::Vector2;
 
+use crate::camera::{self, Frame};
 use crate::scenario::Scenario;
 use crate::units::{Snr, TxPower};
 use dynamics::State;
@@ -50,6 +51,12 @@ impl World {
     #[must_use]
     pub fn obstacles(&self) -> Obstacles {
         self.obstacles.iter().map(|o| o.r).collect()
+    }
+
+    /// The clean frame of this world: discs on black, before any effect of the camera.
+    #[must_use]
+    pub fn frame(&self, scenario: &Scenario) -> Frame {
+        camera::render_all(self.uav.r, &self.obstacles(), scenario)
     }
 
     /// Received SNR at transmit power `power`.

@@ -9,10 +9,7 @@ use nalgebra::Vector2;
 
 use super::{channel, safety};
 use crate::scenario::{Obstacle, Scenario};
-pub use crate::units::{MAX_OBSTACLES, PerObstacle};
-
-/// Centres of the obstacles r_u, paper units.
-pub type Obstacles = PerObstacle<Vector2<f64>>;
+pub use crate::units::{MAX_OBSTACLES, Obstacles, PerObstacle};
 
 impl Obstacles {
     /// Centre and parameters of each.

@@ -32,7 +32,7 @@ use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_COMPONENT, STATION_
 use crpl_sitl::radio::message::{Command, Percept};
 
 use super::Foreign;
-use super::scene::Scene;
+use super::scene::ForeignScene;
 use super::tracking::{Tracker, hold_height};
 use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
@@ -110,7 +110,7 @@ enum GuidePhase {
 
 /// Where the vehicle is, m and m/s in its local frame: north, east, down.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct ReportedPlace {
     position: [f32; 3],
     velocity: [f32; 3],
     /// When it was said, on the vehicle's own clock.
@@ -133,10 +133,10 @@ pub struct Guide {
     fleet: Fleet,
     commands: CommandQueue,
     system: Option<u8>,
-    place: Option<Place>,
+    place: Option<ReportedPlace>,
     /// Where it stood before it climbed.
     ground: [f32; 3],
-    scene: Option<Scene>,
+    scene: Option<ForeignScene>,
     tracker: Tracker,
     /// What CRPL has asked for, north, east, m/s².
     wish: [f64; 2],
@@ -218,7 +218,7 @@ impl Guide {
         let place = LocalPositionNed::of(packet).filter(|_| packet.component == AUTOPILOT);
         if let Some(LocalPositionNed { time_boot_ms, position, velocity }) = place {
             let boot = Duration::from_millis(time_boot_ms.into());
-            let place = Place { position, velocity, boot, at: now };
+            let place = ReportedPlace { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
             if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
@@ -449,7 +449,7 @@ impl Guide {
         f64::from(self.ground[2]) - self.scenario.scale.altitude_m
     }
 
-    fn climb(&mut self, place: &Place, now: Duration) {
+    fn climb(&mut self, place: &ReportedPlace, now: Duration) {
         if self.foreign.stack == ForeignStack::Ardupilot {
             let altitude = self.scenario.scale.altitude_m as f32;
             self.ask_once(MavCmd::MAV_CMD_NAV_TAKEOFF, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, altitude], now);
@@ -458,7 +458,8 @@ impl Guide {
         let slow = place.velocity.iter().all(|v| f64::from(v.abs()) < SLOW_MPS);
         if near && slow {
             self.enter(GuidePhase::Flying, now);
-            self.scene = Some(Scene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
+            self.scene =
+                Some(ForeignScene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
             self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
             self.events.extend(self.system.map(GuideEvent::TakeControl));
@@ -467,7 +468,7 @@ impl Guide {
     }
 
     /// Begins the control interval that is due on the vehicle's clock.
-    fn tick(&mut self, place: &Place, now: Duration) {
+    fn tick(&mut self, place: &ReportedPlace, now: Duration) {
         if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
             return self.fail("the vehicle has started anew in flight".into());
         }

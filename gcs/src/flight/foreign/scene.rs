@@ -10,13 +10,13 @@ use nalgebra::Vector2;
 
 /// The scene of one flight: a [`Sim`] whose UAV another autopilot flies.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct ForeignScene {
     sim: Sim,
     /// The paper's (0, 0) in the vehicle's local frame: north, east, m.
     origin: [f32; 2],
 }
 
-impl Scene {
+impl ForeignScene {
     /// The square laid so that `position` (north, east, m) is the scenario's start.
     #[must_use]
     pub fn new(scenario: Scenario, position: [f32; 2]) -> Self {
@@ -90,7 +90,7 @@ mod tests {
     fn a_scene_is_what_sitl_shows_wherever_the_vehicle_stands() {
         let scenario = Scenario::default();
         let sim = Sim::new(scenario.clone(), 0);
-        let mut scene = Scene::new(scenario, [-300.0, 1200.0]);
+        let mut scene = ForeignScene::new(scenario, [-300.0, 1200.0]);
         let seen = scene.percept([-300.0, 1200.0], [0.0; 2]);
         assert_eq!(seen.frame.rgb(), sim.percept().frame.rgb());
         for (a, b) in seen.telemetry.position.iter().zip(sim.telemetry().position) {
@@ -104,7 +104,7 @@ mod tests {
     fn an_outage_holds_the_last_action() {
         let mut scenario = Scenario::default();
         scenario.radio.b_dt = 2.0;
-        let mut scene = Scene::new(scenario.clone(), [0.0; 2]);
+        let mut scene = ForeignScene::new(scenario.clone(), [0.0; 2]);
         let command = |tick, north, power| Command::new(Tick(tick), [north, 0.0], power);
         let start = scene.percept([0.0; 2], [0.0; 2]).telemetry.position;
         assert_eq!(scene.pass(&command(0, 2.0, TxPower::High)), [2.0, 0.0]);

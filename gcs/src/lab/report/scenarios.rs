@@ -32,7 +32,7 @@ const PAPER: [Controller; 4] = [Controller::Crpl, Controller::Apc, Controller::R
 
 /// One controller's flight, and what its records say.
 #[derive(Debug, Clone)]
-pub struct Flight {
+pub struct ScenarioFlight {
     /// Who flew.
     pub controller: Controller,
     /// One line an interval.
@@ -61,10 +61,10 @@ pub struct Flown {
     /// Where.
     pub scenario: Scenario,
     /// One flight a controller.
-    pub flights: Vec<Flight>,
+    pub flights: Vec<ScenarioFlight>,
 }
 
-impl Flight {
+impl ScenarioFlight {
     fn new(contender: &Contender, scenario: &Scenario) -> Result<Self> {
         let records = contender.records(0);
         let score = FlightScore::of(&records, scenario).context("no interval was flown")?;
@@ -106,9 +106,9 @@ impl Flight {
 pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Vec<Flown>> {
     let fly_one = |(number, preset): (u8, &str)| -> Result<Flown> {
         let scenario = Scenario::named(preset)?;
-        let mut flights: Vec<Flight> = controllers
+        let mut flights: Vec<ScenarioFlight> = controllers
             .par_iter()
-            .map(|c| Flight::new(&Contender::new(models, *c, &scenario)?, &scenario))
+            .map(|c| ScenarioFlight::new(&Contender::new(models, *c, &scenario)?, &scenario))
             .collect::<Result<_>>()?;
         if number == 2 {
             for flight in &mut flights {
@@ -133,7 +133,7 @@ fn gusty_below(models: &Models, controller: Controller, scenario: &Scenario, fli
 }
 
 impl Flown {
-    fn of(&self, controller: Controller) -> Option<&Flight> {
+    fn of(&self, controller: Controller) -> Option<&ScenarioFlight> {
         self.flights.iter().find(|f| f.controller == controller)
     }
 
@@ -166,7 +166,7 @@ impl Flown {
 
     /// A row per controller.
     fn rows(&self) -> Vec<Vec<String>> {
-        let row = |f: &Flight| {
+        let row = |f: &ScenarioFlight| {
             let mut cells = vec![
                 f.controller.to_string(),
                 f.y_abreast.map_or("-".into(), |y| format!("{y:.3}")),
@@ -296,7 +296,7 @@ fn head() -> Vec<String> {
     heads.map(String::from).collect()
 }
 
-fn timely(f: &Flight) -> Claim {
+fn timely(f: &ScenarioFlight) -> Claim {
     let text = match (f.high.first(), f.dark.first()) {
         (Some(high), Some(dark)) => format!(
             "{} raises power at k = {high}, {} low power would fall below γ_min (k = {dark}); SNR below γ_min in \
@@ -319,7 +319,7 @@ fn timely(f: &Flight) -> Claim {
     Claim { holds: f.raises_in_time(), text }
 }
 
-fn late(f: &Flight) -> Claim {
+fn late(f: &ScenarioFlight) -> Claim {
     let text = match (f.high.first(), f.dark.first()) {
         (Some(high), Some(dark)) => format!(
             "{} raises power at k = {high}, {} intervals after low power fell below γ_min (k = {dark}), which \
@@ -334,7 +334,7 @@ fn late(f: &Flight) -> Claim {
     Claim { holds: f.raises_late(), text }
 }
 
-fn below_and_connected(f: &Flight) -> Claim {
+fn below_and_connected(f: &ScenarioFlight) -> Claim {
     let gusty = f.gusty_below.unwrap_or(0.0);
     Claim {
         holds: f.passes_below() && f.violations.is_empty() && gusty >= 0.99,
@@ -351,7 +351,7 @@ fn below_and_connected(f: &Flight) -> Claim {
     }
 }
 
-fn through_the_shadow(f: &Flight) -> Claim {
+fn through_the_shadow(f: &ScenarioFlight) -> Claim {
     Claim {
         holds: !f.passes_below() && f.raises_late(),
         text: format!(

@@ -9,9 +9,9 @@ use crpl_sitl::sim::metric::Metric;
 
 use super::page::Page;
 use super::{Claim, rgb};
-use crate::lab::sweep::episode::Episode;
+use crate::lab::sweep::episode::SweepEpisode;
 use crate::lab::sweep::folder::Folder;
-use crate::lab::sweep::table::{self, Row};
+use crate::lab::sweep::table::{self, TableRow};
 use crate::station::pilot::Controller;
 use crpl_model::numeric::statistics::Mean;
 
@@ -64,13 +64,13 @@ const OUTAGE: [(&str, f64, Controller, f64); 2] =
 #[derive(Debug)]
 pub struct Finished {
     folder: Folder,
-    rows: Vec<Row>,
+    rows: Vec<TableRow>,
 }
 
 impl Finished {
     /// From a folder and its episodes.
     #[must_use]
-    pub fn new(folder: Folder, episodes: &[Episode]) -> Self {
+    pub fn new(folder: Folder, episodes: &[SweepEpisode]) -> Self {
         let rows = table::rows(&folder.plan, episodes);
         Self { folder, rows }
     }
@@ -81,7 +81,7 @@ impl Finished {
         &self.folder.plan.name
     }
 
-    fn row(&self, x: f64, controller: Controller) -> Option<&Row> {
+    fn row(&self, x: f64, controller: Controller) -> Option<&TableRow> {
         self.rows.iter().find(|r| r.x == x && r.controller == controller)
     }
 
@@ -205,7 +205,7 @@ impl Finished {
     fn tables(&self, page: &mut Page) {
         let head = ["x", "controller"].into_iter().chain(Metric::ALL.map(Metric::key)).map(String::from);
         let head: Vec<String> = head.collect();
-        let start = |row: &Row| vec![row.x.to_string(), row.controller.to_string()];
+        let start = |row: &TableRow| vec![row.x.to_string(), row.controller.to_string()];
         let means = self.rows.iter().map(|row| {
             let cells = Metric::ALL.map(|m| table::mean_cell(m, &row.means[m]));
             let shares = table::SHOWN.map(|outcome| format!("{:.3}", row.share(outcome)));

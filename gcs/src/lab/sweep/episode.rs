@@ -12,7 +12,7 @@ use crate::station::pilot::Controller;
 
 /// One flight's score.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Episode {
+pub struct SweepEpisode {
     /// Value of the sweep's axis.
     pub x: f64,
     /// Who flew.
@@ -25,7 +25,7 @@ pub struct Episode {
     pub outcomes: [bool; FlightOutcome::ALL.len()],
 }
 
-impl Episode {
+impl SweepEpisode {
     /// Names of the columns.
     pub fn head() -> impl Iterator<Item = &'static str> {
         let metrics = Metric::ALL.into_iter().map(Metric::key);
@@ -74,7 +74,7 @@ impl Episode {
     /// The episodes of a whole table.
     ///
     /// # Errors
-    /// If the head is not [`Episode::head`], or a line is no episode: the error names the line.
+    /// If the head is not [`SweepEpisode::head`], or a line is no episode: the error names the line.
     pub fn read(table: &[u8]) -> Result<Vec<Self>> {
         let mut lines = std::str::from_utf8(table)?.lines();
         if !lines.next().is_some_and(|head| head.split(',').eq(Self::head())) {
@@ -122,8 +122,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn read(line: &str) -> Result<Vec<Episode>> {
-        Episode::read(&[&super::line(Episode::head()), line.as_bytes()].concat())
+    fn read(line: &str) -> Result<Vec<SweepEpisode>> {
+        SweepEpisode::read(&[&super::line(SweepEpisode::head()), line.as_bytes()].concat())
     }
 
     #[test]
@@ -145,7 +145,7 @@ mod tests {
         ) {
             let metrics = [d_f, 148.0, e_ctrl, p_coll_max, t_out.into()].into();
             let outcomes = [reached, !reached, false];
-            let episode = Episode { x, controller: Controller::Ucc, seed, metrics, outcomes };
+            let episode = SweepEpisode { x, controller: Controller::Ucc, seed, metrics, outcomes };
             let line = String::from_utf8(episode.line()).unwrap();
             prop_assert_eq!(read(&line).unwrap(), [episode]);
         }

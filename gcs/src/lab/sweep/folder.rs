@@ -8,9 +8,9 @@ use anyhow::{Context, Result, bail};
 use crpl_sitl::program::files::write_whole;
 use serde::{Deserialize, Serialize};
 
-use super::episode::{self, Episode};
+use super::episode::{self, SweepEpisode};
 use super::journal::Journal;
-use super::plan::{Plan, Shard};
+use super::plan::{Shard, SweepPlan};
 use super::table;
 use crate::lab::parquet;
 
@@ -21,7 +21,7 @@ struct SweepManifest {
     hash: String,
     shard: String,
     revision: String,
-    plan: Plan,
+    plan: SweepPlan,
 }
 
 /// A sweep's folder, which belongs to a plan and one of its shards.
@@ -29,7 +29,7 @@ struct SweepManifest {
 pub struct Folder {
     dir: PathBuf,
     /// What is flown.
-    pub plan: Plan,
+    pub plan: SweepPlan,
     /// Which shard of it.
     pub shard: Shard,
     /// Revision at which it was begun.
@@ -40,15 +40,15 @@ pub struct Folder {
 #[derive(Debug)]
 pub enum Progress {
     /// All episodes, in order.
-    Finished(Vec<Episode>),
+    Finished(Vec<SweepEpisode>),
     /// These so far.
-    Begun(Journal, Vec<Episode>),
+    Begun(Journal, Vec<SweepEpisode>),
 }
 
 impl Folder {
     /// Begins a folder, or resumes one of the same plan and shard, at whatever revision it was begun: the plan
     /// names all that decides the numbers.
-    pub fn begin(dir: &Path, plan: Plan, shard: Shard) -> Result<Self> {
+    pub fn begin(dir: &Path, plan: SweepPlan, shard: Shard) -> Result<Self> {
         let folder = Self { dir: dir.into(), plan, shard, revision: crate::revision().into() };
         if folder.path("sweep.toml").exists() {
             let there = Self::open(dir)?;
@@ -99,29 +99,30 @@ impl Folder {
     }
 
     /// All episodes, if the sweep is finished.
-    pub fn finished(&self) -> Result<Option<Vec<Episode>>> {
+    pub fn finished(&self) -> Result<Option<Vec<SweepEpisode>>> {
         let path = self.path("episodes.csv");
         let table = match std::fs::read(&path) {
             Ok(table) => table,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error).with_context(|| format!("reading {}", path.display())),
         };
-        let episodes = Episode::read(&table).with_context(|| path.display().to_string())?;
+        let episodes = SweepEpisode::read(&table).with_context(|| path.display().to_string())?;
         self.check_belong(&episodes, &path)?;
         let episodes = self.in_order(episodes);
         episodes.map(Some).with_context(|| format!("{} is not complete", path.display()))
     }
 
     /// Writes the results; `episodes.csv` comes last, and says that all is there.
-    pub fn finish(&self, episodes: Vec<Episode>) -> Result<Vec<Episode>> {
+    pub fn finish(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
         let episodes = self.in_order(episodes)?;
         self.write("points.csv", table::csv(&table::rows(&self.plan, &episodes)).as_bytes())?;
         let names: Vec<String> = episodes.iter().map(|e| e.controller.to_string()).collect();
         let mut bytes = Vec::new();
         let manifest = self.manifest()?;
-        parquet::write(&mut bytes, &Episode::columns(&episodes, &names), &[("sweep.toml", &manifest)])?;
+        parquet::write(&mut bytes, &SweepEpisode::columns(&episodes, &names), &[("sweep.toml", &manifest)])?;
         self.write("episodes.parquet", &bytes)?;
-        let lines = std::iter::once(episode::line(Episode::head())).chain(episodes.iter().map(Episode::line));
+        let lines = std::iter::once(episode::line(SweepEpisode::head()))
+            .chain(episodes.iter().map(SweepEpisode::line));
         self.write("episodes.csv", &lines.flatten().collect::<Vec<u8>>())?;
         Ok(episodes)
     }
@@ -135,9 +136,9 @@ impl Folder {
         })
     }
 
-    fn check_belong(&self, episodes: &[Episode], path: &Path) -> Result<()> {
+    fn check_belong(&self, episodes: &[SweepEpisode], path: &Path) -> Result<()> {
         let plan = &self.plan;
-        let belongs = |e: &Episode| {
+        let belongs = |e: &SweepEpisode| {
             plan.points.contains(&e.x)
                 && plan.controllers.contains(&e.controller)
                 && plan.seeds().contains(&e.seed)
@@ -149,9 +150,9 @@ impl Folder {
         }
     }
 
-    fn in_order(&self, episodes: Vec<Episode>) -> Result<Vec<Episode>> {
+    fn in_order(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
         let key = |x: f64, controller, seed| (x.to_bits(), controller, seed);
-        let mut found: BTreeMap<_, Episode> =
+        let mut found: BTreeMap<_, SweepEpisode> =
             episodes.into_iter().map(|e| (key(e.x, e.controller, e.seed), e)).collect();
         let mut next = |(x, controller, seed)| {
             found
@@ -201,14 +202,14 @@ mod tests {
         let file = SweepFile::parse(file).unwrap();
         let plan = file.resolve(&Overrides::default(), "w".into(), "p".into()).unwrap();
         let dir = tempfile::tempdir().unwrap();
-        let begin = |plan: &Plan| Folder::begin(dir.path(), plan.clone(), Shard::WHOLE);
+        let begin = |plan: &SweepPlan| Folder::begin(dir.path(), plan.clone(), Shard::WHOLE);
         begin(&plan).unwrap();
         let path = dir.path().join("sweep.toml");
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, text.replace(crate::revision(), "another")).unwrap();
         let folder = begin(&plan).unwrap();
         assert!(folder.manifest().unwrap().contains("revision = \"another\""));
-        let other = Plan { code: "another".into(), ..plan };
+        let other = SweepPlan { code: "another".into(), ..plan };
         let error = begin(&other).unwrap_err().to_string();
         assert!(error.contains("holds another sweep: code = \"another\""), "{error}");
     }

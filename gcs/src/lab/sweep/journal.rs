@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 
-use super::episode::{self, Episode};
+use super::episode::{self, SweepEpisode};
 
 /// How often the lock is tried, every 50 ms.
 const PATIENCE: u32 = 20;
@@ -24,7 +24,7 @@ pub struct Journal {
 
 impl Journal {
     /// Opens or begins a journal, and gives the episodes that stand in it.
-    pub fn open(path: &Path) -> Result<(Self, Vec<Episode>)> {
+    pub fn open(path: &Path) -> Result<(Self, Vec<SweepEpisode>)> {
         let name = path.display();
         let mut file = OpenOptions::new()
             .read(true)
@@ -39,16 +39,17 @@ impl Journal {
         file.set_len(whole as u64).with_context(|| format!("cutting the torn end off {name}"))?;
         file.seek(SeekFrom::End(0)).with_context(|| format!("reading {name}"))?;
         let episodes = if whole == 0 {
-            file.write_all(&episode::line(Episode::head())).with_context(|| format!("writing {name}"))?;
+            file.write_all(&episode::line(SweepEpisode::head()))
+                .with_context(|| format!("writing {name}"))?;
             Vec::new()
         } else {
-            Episode::read(&bytes[..whole]).with_context(|| name.to_string())?
+            SweepEpisode::read(&bytes[..whole]).with_context(|| name.to_string())?
         };
         Ok((Self { path: path.into(), file: Mutex::new(file) }, episodes))
     }
 
     /// Writes an episode down, in one write.
-    pub fn add(&self, episode: &Episode) -> Result<()> {
+    pub fn add(&self, episode: &SweepEpisode) -> Result<()> {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         file.write_all(&episode.line()).with_context(|| format!("writing {}", self.path.display()))
     }
@@ -78,10 +79,10 @@ mod tests {
     use super::*;
     use crate::station::pilot::Controller;
 
-    fn episode(seed: u64) -> Episode {
+    fn episode(seed: u64) -> SweepEpisode {
         let metrics = [0.1 / (seed + 1) as f64, 100.0, 9000.0, 0.03, seed as f64].into();
         let outcomes = [true, true, false];
-        Episode { x: 2.5, controller: Controller::Rcc, seed, metrics, outcomes }
+        SweepEpisode { x: 2.5, controller: Controller::Rcc, seed, metrics, outcomes }
     }
 
     #[test]
@@ -119,7 +120,8 @@ mod tests {
             std::fs::write(&path, table).unwrap();
             crpl_sitl::program::terminal::one_line(&Journal::open(&path).unwrap_err())
         };
-        let said = error(&[&episode::line(Episode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
+        let said =
+            error(&[&episode::line(SweepEpisode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
         assert!(said.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{said}");
         assert!(error(b"a,b\n").ends_with("line 1 is not the head of a table of episodes"));
     }

@@ -1,7 +1,7 @@
 //! Sweeps: the paper's Figs. 6 and 7, and any other key of a scenario against the five metrics.
 //!
 //! ```text
-//! configs/sweep_*.toml --> Plan --> (point, controller, seed) --> Episode --> journal --> Folder --> table
+//! configs/sweep_*.toml --> SweepPlan --> (point, controller, seed) --> SweepEpisode --> journal --> Folder --> table
 //! ```
 //!
 //! | module | what it is | what it does not know |
@@ -37,11 +37,11 @@ use rayon::prelude::*;
 use crate::lab::Contender;
 use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::Controller;
-use episode::Episode;
+use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
-use plan::{Overrides, Plan, Shard, SweepFile};
-use table::Row;
+use plan::{Overrides, Shard, SweepFile, SweepPlan};
+use table::TableRow;
 
 /// Flags of `gcs sweep`.
 #[derive(Debug, clap::Args)]
@@ -98,7 +98,7 @@ pub fn run(args: &Sweep) -> Result<()> {
 }
 
 /// The plan of a file, with the trained things that will fly it.
-pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<Plan> {
+pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<SweepPlan> {
     let policy = match &models.policy {
         Some(path) => std::fs::read(path).with_context(|| format!("reading {}", path.display()))?,
         None => SHIPPED.map(|(_, bytes)| bytes).concat(),
@@ -112,7 +112,7 @@ fn default_folder(name: &str, shard: Shard) -> PathBuf {
 }
 
 /// Flies what is missing, writes the results, and gives all episodes in order.
-pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<Episode>> {
+pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<SweepEpisode>> {
     let (journal, mut episodes) = match folder.progress()? {
         Progress::Finished(episodes) => return Ok(episodes),
         Progress::Begun(journal, episodes) => (journal, episodes),
@@ -129,10 +129,10 @@ pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<Episode>> {
 fn fly(
     folder: &Folder,
     models: &Models,
-    done: &[Episode],
+    done: &[SweepEpisode],
     journal: &Journal,
     stop: &AtomicBool,
-) -> Result<Vec<Episode>> {
+) -> Result<Vec<SweepEpisode>> {
     let plan = &folder.plan;
     let mut contenders = Vec::new();
     for x in &plan.points {
@@ -155,21 +155,21 @@ fn fly(
     let bar = progress::bar(plan.name.clone(), total as u64);
     bar.inc((total - units.len()) as u64);
     bar.reset_eta();
-    let flown: Result<Vec<Option<Episode>>> = units
+    let flown: Result<Vec<Option<SweepEpisode>>> = units
         .into_par_iter()
         .with_max_len(1)
         .map(|((x, contender), seed)| {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            let episode = Episode::fly(contender, *x, seed)?;
+            let episode = SweepEpisode::fly(contender, *x, seed)?;
             journal.add(&episode)?;
             bar.inc(1);
             Ok(Some(episode))
         })
         .collect();
     bar.finish_and_clear();
-    let flown: Vec<Episode> = flown?.into_iter().flatten().collect();
+    let flown: Vec<SweepEpisode> = flown?.into_iter().flatten().collect();
     let all = done.len() + flown.len();
     if all < total {
         bail!(
@@ -194,8 +194,8 @@ fn stop_when_interrupted() -> Result<Arc<AtomicBool>> {
 }
 
 /// Prints the rows, for people or programs.
-pub fn show(folder: &Folder, episodes: &[Episode], json: bool) -> Result<()> {
-    let rows: Vec<Row> = table::rows(&folder.plan, episodes);
+pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()> {
+    let rows: Vec<TableRow> = table::rows(&folder.plan, episodes);
     if json {
         for row in &rows {
             println!("{}", serde_json::to_string(row)?);

@@ -64,7 +64,7 @@ pub struct Overrides {
 /// A resolved sweep: equal plans give equal bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct SweepPlan {
     /// Name of the sweep.
     pub name: String,
     /// Dotted key of the scenario that the points set.
@@ -100,9 +100,9 @@ impl SweepFile {
     }
 
     /// Puts in what the flags say, and checks that every point is a scenario.
-    pub fn resolve(self, flags: &Overrides, world_model: String, policy: String) -> Result<Plan> {
+    pub fn resolve(self, flags: &Overrides, world_model: String, policy: String) -> Result<SweepPlan> {
         let scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
-        let plan = Plan {
+        let plan = SweepPlan {
             name: self.name,
             axis: self.axis,
             points: flags.points.clone().unwrap_or(self.points),
@@ -119,7 +119,7 @@ impl SweepFile {
     }
 }
 
-impl Plan {
+impl SweepPlan {
     fn check(&self) -> Result<()> {
         let in_a_name = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
         if self.name.is_empty() || !self.name.chars().all(in_a_name) {
@@ -230,7 +230,7 @@ impl Shard {
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
     /// The seeds of `plan` in this shard.
-    pub fn seeds(self, plan: &Plan) -> impl Iterator<Item = u64> {
+    pub fn seeds(self, plan: &SweepPlan) -> impl Iterator<Item = u64> {
         let first = plan.first_seed;
         plan.seeds().filter(move |seed| (seed - first) % self.of == self.number - 1)
     }
@@ -261,7 +261,7 @@ mod tests {
     const FILE: &str =
         "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
 
-    fn plan(text: &str) -> Result<Plan> {
+    fn plan(text: &str) -> Result<SweepPlan> {
         SweepFile::parse(text)?.resolve(&Overrides::default(), "w".into(), "shipped".into())
     }
 

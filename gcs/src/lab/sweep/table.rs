@@ -6,8 +6,8 @@ use std::fmt::Write;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
-use super::episode::Episode;
-use super::plan::Plan;
+use super::episode::SweepEpisode;
+use super::plan::SweepPlan;
 use crate::station::pilot::Controller;
 use crpl_model::numeric::statistics::{Mean, Resamples};
 
@@ -16,7 +16,7 @@ pub const SHOWN: [FlightOutcome; 2] = [FlightOutcome::Reached, FlightOutcome::Be
 
 /// One controller at one point.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct TableRow {
     /// Name of the sweep.
     pub sweep: String,
     /// Value of the axis.
@@ -34,7 +34,7 @@ pub struct Row {
     shares: [f64; FlightOutcome::ALL.len()],
 }
 
-impl Row {
+impl TableRow {
     /// Share of flights with this outcome.
     #[must_use]
     pub fn share(&self, outcome: FlightOutcome) -> f64 {
@@ -45,12 +45,12 @@ impl Row {
 /// All rows of a sweep, points in their order, controllers in theirs. `episodes` must be in the order
 /// of the plan.
 #[must_use]
-pub fn rows(plan: &Plan, episodes: &[Episode]) -> Vec<Row> {
+pub fn rows(plan: &SweepPlan, episodes: &[SweepEpisode]) -> Vec<TableRow> {
     let flights = episodes.len() / (plan.points.len() * plan.controllers.len()).max(1);
     let resamples = Resamples::of(flights);
     let mut rows = Vec::new();
     for x in &plan.points {
-        let of = |controller: Controller| -> Vec<&Episode> {
+        let of = |controller: Controller| -> Vec<&SweepEpisode> {
             episodes.iter().filter(|e| e.x == *x && e.controller == controller).collect()
         };
         let crpl = plan.controllers.contains(&Controller::Crpl).then(|| of(Controller::Crpl));
@@ -62,14 +62,15 @@ pub fn rows(plan: &Plan, episodes: &[Episode]) -> Vec<Row> {
 }
 
 fn row(
-    plan: &Plan,
+    plan: &SweepPlan,
     x: f64,
     controller: Controller,
-    flights: &[&Episode],
-    crpl: Option<&[&Episode]>,
+    flights: &[&SweepEpisode],
+    crpl: Option<&[&SweepEpisode]>,
     resamples: &Resamples,
-) -> Row {
-    let values = |of: Metric, flights: &[&Episode]| flights.iter().map(|e| e.metrics[of]).collect::<Vec<_>>();
+) -> TableRow {
+    let values =
+        |of: Metric, flights: &[&SweepEpisode]| flights.iter().map(|e| e.metrics[of]).collect::<Vec<_>>();
     let ratio_to_crpl = crpl.and_then(|crpl| {
         PerMetric::try_from_fn(|m| {
             if controller == Controller::Crpl {
@@ -79,7 +80,7 @@ fn row(
             resamples.ratio(&values(m, flights), &values(m, crpl), m.floor())
         })
     });
-    Row {
+    TableRow {
         sweep: plan.name.clone(),
         x,
         controller,
@@ -95,7 +96,7 @@ fn row(
 
 /// The rows as comma-separated values, all digits.
 #[must_use]
-pub fn csv(rows: &[Row]) -> String {
+pub fn csv(rows: &[TableRow]) -> String {
     let mut text = String::from("sweep,x,controller,episodes");
     FlightOutcome::ALL.iter().for_each(|outcome| text.extend([",", outcome.key()]));
     for m in Metric::ALL.map(Metric::key) {
@@ -103,7 +104,7 @@ pub fn csv(rows: &[Row]) -> String {
     }
     text.push('\n');
     for row in rows {
-        let Row { sweep, x, controller, episodes, .. } = row;
+        let TableRow { sweep, x, controller, episodes, .. } = row;
         let _ = write!(text, "{sweep},{x},{controller},{episodes}");
         row.shares.iter().for_each(|share| text += &format!(",{share}"));
         for (m, Mean { mean, ci, sd }) in row.means.iter() {
@@ -141,7 +142,7 @@ pub fn ratio_cell(ratio: &Mean) -> String {
 /// The rows as two tables for people: means with the half width of their 95 % interval and the
 /// standard deviation of a flight; ratios to CRPL with their 95 % interval.
 #[must_use]
-pub fn text(plan: &Plan, rows: &[Row]) -> String {
+pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let mut out = format!(
         "{}: {} over {} flights a row from seed {}; mean ± half of the 95 % interval (standard deviation)\n",
         plan.name,

@@ -16,14 +16,14 @@ use crate::station::belief::Latents;
 pub struct CrplExactLatents {
     crpl: Crpl,
     world: Arc<WorldModel>,
-    memory: Memory,
+    memory: LastLatents,
 }
 
 impl CrplExactLatents {
     /// CRPL on the exact latents of `world`.
     #[must_use]
     pub fn new(crpl: Crpl, world: Arc<WorldModel>) -> Self {
-        Self { crpl, world, memory: Memory::default() }
+        Self { crpl, world, memory: LastLatents::default() }
     }
 
     /// The executed actions of π_s and π_p.
@@ -34,11 +34,11 @@ impl CrplExactLatents {
 
 /// y_c of the interval before: M = 2.
 #[derive(Debug, Clone, Default)]
-pub struct Memory {
+pub struct LastLatents {
     before: Option<[f32; 2]>,
 }
 
-impl Memory {
+impl LastLatents {
     /// The latents whose probe tells exactly these positions.
     pub fn latents(&mut self, world: &WorldModel, now: &Present) -> Latents {
         let plane = |y: Option<Vector2<f64>>| y.map_or([0.0; 2], |y| [y.x as f32, y.y as f32]);
@@ -59,7 +59,7 @@ mod tests {
         let world = WorldModel::embedded().unwrap();
         let scenario = Scenario::default();
         let obstacle = scenario.obstacle().position;
-        let mut memory = Memory::default();
+        let mut memory = LastLatents::default();
         let mut before = None;
         for r in [Vector2::new(0.3, 0.7), Vector2::new(0.33, 0.69)] {
             let obstacles = [obstacle].into();

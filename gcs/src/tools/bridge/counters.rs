@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use crpl_sitl::link::sequence::Heard;
+use crpl_sitl::link::sequence::SequenceTracker;
 use crpl_sitl::link::splitter::Counts;
 
 /// Counters of one link since it began.
@@ -41,7 +41,7 @@ impl Counters {
     }
 
     /// What a frame's sequence number has told.
-    pub fn numbered(&mut self, heard: Heard) {
+    pub fn numbered(&mut self, heard: SequenceTracker) {
         self.missing += heard.missing;
         self.late += u64::from(heard.late);
     }
