@@ -1,6 +1,6 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `closed_form`, `lens`, `stages` and `predictors` need burn: the cargo feature `train`.
+//! All but `closed_form`, `lens` and `predictors` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
