@@ -1,6 +1,27 @@
 //! What is learned of the world: the JEPA encoder and predictors, the risk and channel heads, and
 //! CRPL's two policies.
 //!
+//! ```
+//! use crpl_model::encoder::weights::vector;
+//! use crpl_model::predictor::Begin;
+//! use crpl_model::world_model::WorldModel;
+//! use crpl_sitl::{Scenario, camera};
+//! use nalgebra::Vector2;
+//!
+//! // The shipped world model, and a frame with the UAV at (0.3, 0.4) and the obstacle at (0.7, 0.6).
+//! let world = WorldModel::embedded()?;
+//! let frame = camera::render(Vector2::new(0.3, 0.4), Vector2::new(0.7, 0.6), &Scenario::default());
+//! let latent = world.encode(&frame);
+//! assert!((world.uav(&latent) - Vector2::new(0.3, 0.4)).norm() < 0.01);
+//!
+//! // Ten intervals of full acceleration to the right, from rest.
+//! let now = vector(world.y_c(&latent));
+//! let actions = [Vector2::new(1.0, 0.0); 10];
+//! let path = world.predictor.rollout(Begin { now, before: now, actions: &actions });
+//! assert!(world.probe.c.apply(path[9]).x > 0.45);
+//! # Ok::<(), crpl_model::world_model::checkpoint::CheckpointError>(())
+//! ```
+//!
 //! ```text
 //! frame --> encoder --> latents {z_c, z_u} --> predictor (rollouts) --> heads (risk, gain)
 //! ```

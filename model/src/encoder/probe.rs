@@ -104,9 +104,9 @@ pub fn r_squared<const N: usize>(z: &[[f32; N]], r: &[Vector2<f64>]) -> f64 {
     1.0 - residual / total
 }
 
-/// exp of the entropy of the covariance's normalised eigenvalues: how many dimensions are in use.
+/// Covariance of latents, `[samples][N]` to `[N, N]`.
 #[must_use]
-pub fn effective_rank<const N: usize>(z: &[[f32; N]]) -> f64 {
+pub fn covariance<const N: usize>(z: &[[f32; N]]) -> DMatrix<f64> {
     let n = z.len().max(1) as f64;
     let wide = |z: &[f32; N]| nalgebra::DVector::from_fn(N, |k, _| f64::from(z[k]));
     let mean = z.iter().fold(nalgebra::DVector::zeros(N), |m, z| m + wide(z)) / n;
@@ -115,12 +115,18 @@ pub fn effective_rank<const N: usize>(z: &[[f32; N]]) -> f64 {
         let off = wide(z) - &mean;
         covariance.ger(1.0 / n, &off, &off, 1.0);
     }
+    covariance
+}
+
+/// How many dimensions are in use: exp of the entropy of a covariance's normalised eigenvalues; 0 of nothing.
+#[must_use]
+pub fn effective_rank(covariance: &DMatrix<f64>) -> f64 {
     let values = covariance.symmetric_eigenvalues();
-    let whole: f64 = values.iter().map(|v| v.max(0.0)).sum();
-    if whole <= 0.0 {
+    let total: f64 = values.iter().map(|v| v.max(0.0)).sum();
+    if !(total.is_finite() && total > 0.0) {
         return 0.0;
     }
-    let shares = values.iter().map(|v| v.max(0.0) / whole).filter(|p| *p > 0.0);
+    let shares = values.iter().map(|v| v.max(0.0) / total).filter(|p| *p > 0.0);
     (-shares.map(|p| p * p.ln()).sum::<f64>()).exp()
 }
 
@@ -145,10 +151,10 @@ mod tests {
             (0..3000).map(|n| std::array::from_fn(|k| if k < used { value(n, k) } else { 1.0 })).collect()
         };
         for used in [1, 2, 6] {
-            let rank = effective_rank(&z(used));
+            let rank = effective_rank(&covariance(&z(used)));
             assert!((rank - used as f64).abs() < 0.05, "{rank} of {used}");
         }
-        assert_eq!(effective_rank(&z(0)), 0.0);
+        assert_eq!(effective_rank(&covariance(&z(0))), 0.0);
     }
 
     #[test]

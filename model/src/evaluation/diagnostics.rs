@@ -9,11 +9,11 @@ use std::fmt;
 use crpl_sitl::camera::SIDE;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
-use nalgebra::{DMatrix, Vector2};
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::encoder::infer::Latent;
-use crate::encoder::probe::r_squared;
+use crate::encoder::probe::{covariance, effective_rank, r_squared};
 use crate::encoder::weights::{LATENT, vector};
 use crate::heads::labels::{self, Scene};
 use crate::numeric::statistics::quantile;
@@ -290,27 +290,6 @@ fn rollouts_from_rest(
     ActionStats { true_px, zero_px, shuffled_px }
 }
 
-fn covariance(z: &[[f32; LATENT]]) -> DMatrix<f64> {
-    let n = z.len().max(1) as f64;
-    let mut x = DMatrix::from_fn(z.len(), LATENT, |row, k| f64::from(z[row][k]));
-    for mut column in x.column_iter_mut() {
-        let mean = column.sum() / n;
-        column.add_scalar_mut(-mean);
-    }
-    x.transpose() * x / n
-}
-
-/// e to the entropy of the normalised eigenvalues; 0 of nothing.
-fn effective_rank(covariance: &DMatrix<f64>) -> f64 {
-    let values = covariance.symmetric_eigenvalues();
-    let total: f64 = values.iter().filter(|v| **v > 0.0).sum();
-    if !(total.is_finite() && total > 0.0) {
-        return 0.0;
-    }
-    let shares = values.iter().map(|v| v / total).filter(|p| *p > 0.0);
-    shares.map(|p| -p * p.ln()).sum::<f64>().exp()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -347,22 +326,5 @@ mod tests {
             "the actions hardly matter: wrong ones predict 5.0 times worse"
         );
         assert!(words(|f| f.actions.true_px = f64::NAN).starts_with("the actions hardly matter"));
-    }
-
-    #[test]
-    fn rank_counts_the_directions() {
-        let wave = |n: usize, step: f64| (n as f64 * step).sin() as f32;
-        let z = |dims: usize| -> Vec<[f32; LATENT]> {
-            (0..4000)
-                .map(|n| {
-                    std::array::from_fn(|k| if k < dims { wave(n, 0.37 + 0.21 * k as f64) } else { 3.0 })
-                })
-                .collect()
-        };
-        for dims in [1, 2, 5] {
-            let rank = effective_rank(&covariance(&z(dims)));
-            assert!((rank - dims as f64).abs() < 0.05, "{dims}: {rank}");
-        }
-        assert_eq!(effective_rank(&covariance(&z(0))), 0.0);
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use rand::seq::SliceRandom;
 use serde::Serialize;
 
-use crate::encoder::probe::{effective_rank, r_squared};
+use crate::encoder::probe::{covariance, effective_rank, r_squared};
 use crate::encoder::weights::vector;
 use crate::evaluation::robustness::{self, RobustnessRow};
 use crate::evaluation::rollout::{
@@ -275,7 +275,7 @@ fn rank(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -
     let scenes: Vec<Scene> = (0..frames).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
     let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
     let (c, u): (Vec<_>, Vec<_>) = latents.iter().map(|l| (l.z_c, l.z_u)).unzip();
-    Rank { z_c: effective_rank(&c), z_u: effective_rank(&u) }
+    Rank { z_c: effective_rank(&covariance(&c)), z_u: effective_rank(&covariance(&u)) }
 }
 
 impl EvaluationReport {

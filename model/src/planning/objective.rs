@@ -5,6 +5,7 @@
 //! by barriers. The reverse mode is written by hand; the tests hold it against finite differences
 //! and against burn's autodiff. Rollouts run [`LANES`](crate::numeric::kernel::LANES) at a time, blocks of them on all cores.
 
+use crpl_sitl::world::channel;
 use rayon::prelude::*;
 
 use crate::numeric::kernel::Lane;
@@ -22,7 +23,7 @@ pub fn softmin(x: &[f64], beta: f64) -> f64 {
 /// Smooth outage p̂_out = σ_α(1 - γ/γ_min), Eq. (25), Sec. III-C.
 #[must_use]
 pub fn outage_surrogate(snr: f64, snr_min: f64, alpha: f64) -> f64 {
-    1.0 / (1.0 + (-alpha * (1.0 - snr / snr_min)).exp())
+    channel::sigmoid(alpha * (1.0 - snr / snr_min))
 }
 
 /// ln x, continued below `eps` by its tangent, so that an infeasible start has a finite objective.
