@@ -6,6 +6,25 @@
 //!    +---------- flight: UDP, MAVLink, tlog ---------------+
 //! ```
 //!
+//! ```
+//! use crpl_gcs::station::models::Models;
+//! use crpl_gcs::station::pilot::Controller;
+//! use crpl_sitl::{Scenario, Sim};
+//!
+//! // The reactive baseline in Scenario 2, without a network.
+//! let scenario = Scenario::numbered(2)?;
+//! let mut sim = Sim::new(scenario.clone(), 0);
+//! let mut station = Models::load(None, None)?.station(Controller::Rcc, &scenario)?;
+//! for _ in 0..scenario.horizon {
+//!     let command = station.handle(&sim.percept());
+//!     sim.handle(command);
+//!     sim.advance();
+//! }
+//! station.finish(&sim.percept());
+//! assert!(station.score().is_some());
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+//!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`station`] | percept in, command out: belief, controllers, trained models | sockets, clocks, bytes |

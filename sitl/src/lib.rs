@@ -6,6 +6,23 @@
 //!   +-- Sim: fly the held action <-- radio gate <==[link]-- Command
 //! ```
 //!
+//! ```
+//! use crpl_sitl::radio::message::Command;
+//! use crpl_sitl::units::{Motion, TxPower};
+//! use crpl_sitl::{Scenario, Sim};
+//!
+//! // Ten intervals of full acceleration to the east, commands through the radio at high power.
+//! let mut sim = Sim::new(Scenario::numbered(2)?, 0);
+//! let (scale, a_max) = (sim.scenario().scale, sim.scenario().dynamics.a_max);
+//! for _ in 0..10 {
+//!     let accel = scale.ned_from_paper_acceleration(a_max * Motion::East.vector());
+//!     sim.handle(Command::new(sim.tick(), accel, TxPower::High));
+//!     sim.advance();
+//! }
+//! assert!(sim.world().uav.r.x > 0.2);
+//! # Ok::<(), crpl_sitl::scenario::ScenarioError>(())
+//! ```
+//!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`units`] | ticks, SNR, actions, the scale between the paper's square and NED metres | physics |
