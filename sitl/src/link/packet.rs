@@ -7,7 +7,6 @@ use std::sync::LazyLock;
 use mavlink::{MavlinkVersion, Message, MessageData};
 
 use super::dialect::MavMessage;
-use super::messages::Target;
 
 /// First byte of a MAVLink 1 packet.
 pub(super) const MAGIC_V1: u8 = 0xFE;
@@ -199,6 +198,30 @@ impl PartialEq for Raw {
 }
 
 impl Eq for Raw {}
+
+/// System and component to which a message is addressed; 0 is all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Target {
+    /// System id.
+    pub system: u8,
+    /// Component id.
+    pub component: u8,
+}
+
+impl Target {
+    /// Whether a component is meant.
+    #[must_use]
+    pub fn is(self, system: u8, component: u8) -> bool {
+        (self.system == 0 || self.system == system) && (self.component == 0 || self.component == component)
+    }
+}
+
+impl From<(u8, u8)> for Target {
+    /// System and component.
+    fn from((system, component): (u8, u8)) -> Self {
+        Self { system, component }
+    }
+}
 
 /// Where a message of the dialect holds its target's system, and its target's component if it has one.
 #[must_use]

@@ -30,6 +30,8 @@ use std::borrow::Cow;
 use super::MessageData;
 use super::packet::PacketRef;
 
+pub use super::packet::Target;
+
 /// The longest payload, bytes.
 pub const MAX_PAYLOAD: usize = 255;
 
@@ -131,30 +133,6 @@ impl<const N: usize> Field for Text<N> {
 
     fn write(self, bytes: &mut [u8; MAX_PAYLOAD], at: usize) {
         self.0.write(bytes, at);
-    }
-}
-
-/// System and component to which a message is addressed; 0 is all.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Target {
-    /// System id.
-    pub system: u8,
-    /// Component id.
-    pub component: u8,
-}
-
-impl Target {
-    /// Whether a component is meant.
-    #[must_use]
-    pub fn is(self, system: u8, component: u8) -> bool {
-        (self.system == 0 || self.system == system) && (self.component == 0 || self.component == component)
-    }
-}
-
-impl From<(u8, u8)> for Target {
-    /// System and component.
-    fn from((system, component): (u8, u8)) -> Self {
-        Self { system, component }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The file transfer protocol of a vehicle without files.
 
 use super::*;
+use crate::link::messages::service::FileTransfer;
 
 /// Opcode, the request it answers and the data of the answer.
 fn answer(bench: &mut Bench, opcode: u8) -> Option<(u8, u8, u8)> {
@@ -13,11 +14,11 @@ fn answer(bench: &mut Bench, opcode: u8) -> Option<(u8, u8, u8)> {
         payload,
     };
     let packets = bench.send(&ask);
-    let MavMessage::FILE_TRANSFER_PROTOCOL(said) = packets.first()?.message()? else { return None };
-    assert_eq!((packets.len(), said.target_system, said.target_component), (1, 255, 190));
-    assert_eq!(said.payload[..3], [0, 0, 9], "the next sequence number, the same session");
-    assert_eq!(said.payload[4], u8::from(said.payload[3] == 129), "a refusal has a reason");
-    Some((said.payload[3], said.payload[5], said.payload[12]))
+    let said = FileTransfer::of(packets.first()?)?;
+    assert_eq!((packets.len(), said.target), (1, Target { system: 255, component: 190 }));
+    assert_eq!((said.seq, said.session), (0, 9), "the next sequence number, the same session");
+    assert_eq!(said.size, u8::from(said.opcode == 129), "a refusal has a reason");
+    Some((said.opcode, said.request, said.data[0]))
 }
 
 #[test]
