@@ -33,7 +33,7 @@
 //! | [`predictor`] | linear, MLP and LSTM predictors; the observer | frames, positions |
 //! | [`heads`] | collision probability and channel gain: labels, networks | frames |
 //! | [`world_model`] | the learned world as one value, its files and its configuration | physics, link, policies |
-//! | [`evaluation`] | what a world model is worth on held-out frames | training |
+//! | [`evaluation`] | accuracy of a world model on held-out frames | training |
 //! | [`training`] | the recipe and its pieces | flights |
 //! | [`planning`] | policies, J_η on latent rollouts, Algorithm 1 | frames |
 //!

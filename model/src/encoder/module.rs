@@ -35,6 +35,9 @@ pub struct NoBackend;
 
 impl Backend {
     /// burn's handle of the backend.
+    ///
+    /// # Errors
+    /// If the backend is not in this build.
     pub fn device(self) -> Result<Device, NoBackend> {
         match self {
             Self::Flex => Ok(Device::flex()),

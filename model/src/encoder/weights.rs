@@ -96,7 +96,7 @@ pub struct Input {
 }
 
 /// A learned 1x1 layer: y = max(0, W x/255 + b) takes the place of red and blue, green stays empty.
-/// W tells the bodies' colours apart, and b, negative, is a threshold below which background and pixel
+/// W separates the bodies' colours, and b, negative, is a threshold below which background and pixel
 /// noise vanish before a lever arm multiplies them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Colour {

@@ -1,4 +1,4 @@
-//! `model evaluate`: what a world model is worth, printed, drawn and written down.
+//! `model evaluate`: the accuracy of a world model, printed, drawn and written to files.
 
 use std::path::{Path, PathBuf};
 
@@ -38,6 +38,9 @@ pub struct Evaluate {
 }
 
 /// Runs the subcommand.
+///
+/// # Errors
+/// If the world model does not read or a file cannot be written.
 pub fn run(args: &Evaluate) -> Result<()> {
     let (model, networks) = load(args.checkpoint.as_deref())?;
     let config = ReportConfig {

@@ -1,4 +1,4 @@
-//! What says that a training run has failed although its loss looks well: a latent half that
+//! Checks that find a failed training run although its loss is low: a latent half that
 //! collapsed, lost its body, holds the other one, or ignores the actions. A model that raises an
 //! alarm is not shipped.
 //!
@@ -80,7 +80,7 @@ pub struct ActionStats {
     pub shuffled_px: f64,
 }
 
-/// All that the alarms look at.
+/// What the alarms are computed from.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Diagnostics {

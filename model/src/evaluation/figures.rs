@@ -21,6 +21,9 @@ const HUES: [usize; 3] = [0, 3, 1];
 const GREY: usize = 7;
 
 /// Draws `fig3a`, `fig3b`, `moving` and `reliability` as SVG and PNG in `dir`.
+///
+/// # Errors
+/// If a figure cannot be drawn or written.
 pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
     chart::save(&within(measured), dir, "fig3a")?;
     chart::save(&distribution(measured), dir, "fig3b")?;

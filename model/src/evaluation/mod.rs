@@ -1,6 +1,6 @@
-//! What a world model is worth, on held-out frames: decode errors, leakage, rollouts, heads.
+//! The accuracy of a world model on held-out frames: decode errors, leakage, rollouts, heads.
 //!
-//! Ground truth is used here alone, and only to measure. Errors are l1 in px (0.01 unit), as in
+//! Ground truth is used only here, and only to measure. Errors are l1 in px (0.01 unit), as in
 //! Sec. IV-B.
 
 pub mod chart;
@@ -176,12 +176,12 @@ fn rollouts(
     (metrics, ends)
 }
 
-/// Where a rollout from rest truly ends, beside the obstacle as it stood at its start.
+/// The true end of a rollout from rest, with the obstacle where it was at the start.
 fn last_scene(episode: &Episode) -> Scene {
     Scene { uav: episode.uav[episode.uav.len() - 1], obstacle: episode.obstacle[1] }
 }
 
-/// The heads' answers beside the truth.
+/// The heads' outputs and the truth.
 #[derive(Debug, Clone, Default)]
 struct Judged {
     /// p_coll as predicted.

@@ -119,7 +119,7 @@ pub struct Measured {
     pub errors: Vec<(Forecaster, RolloutStart, Errors)>,
 }
 
-/// Measures; `tick` hears of every trajectory encoded.
+/// Measures; `tick` is called for every encoded trajectory.
 #[must_use]
 pub fn measure(
     model: &WorldModel,

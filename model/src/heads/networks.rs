@@ -53,7 +53,7 @@ impl Heads {
         [c * y_c[0], c * y_c[1], u * y_u[0], u * y_u[1], x, y]
     }
 
-    /// Both heads for a base station at `station`, paper units; `probe` tells where a latent lies.
+    /// Both heads for a base station at `station`, paper units; `probe` maps latents to positions.
     #[must_use]
     pub fn at(&self, station: Vector2<f64>, probe: &Probe) -> StationHeads {
         let (mut collision, mut gain) = (self.collision.clone(), self.gain.clone());

@@ -1,6 +1,6 @@
 //! Named tensors in a safetensors file: every shape, type and value is checked on reading.
 //!
-//! Knows names, shapes and bytes; nothing of what the numbers mean.
+//! Knows names, shapes and bytes, not the meaning of the numbers.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -173,6 +173,9 @@ pub struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     /// Parses the bytes of a safetensors file; `path` is for the error messages.
+    ///
+    /// # Errors
+    /// [`TensorError::Format`] if the bytes are not a safetensors file.
     pub fn new(bytes: &'a [u8], path: PathBuf) -> Result<Self, TensorError> {
         match SafeTensors::deserialize(bytes) {
             Ok(tensors) => Ok(Self { tensors, path }),
@@ -187,11 +190,17 @@ impl<'a> Reader<'a> {
     }
 
     /// The shape of a tensor.
+    ///
+    /// # Errors
+    /// [`TensorError::Missing`]
     pub fn shape(&self, name: &str) -> Result<Vec<usize>, TensorError> {
         Ok(self.view(name)?.shape().to_vec())
     }
 
     /// A tensor of f32 with this shape.
+    ///
+    /// # Errors
+    /// If a tensor is missing, has another shape or type, or a value is not finite.
     pub fn f32(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
         let view = self.checked(name, shape, Dtype::F32)?;
         let (words, _) = view.data().as_chunks::<4>();
@@ -201,6 +210,9 @@ impl<'a> Reader<'a> {
     }
 
     /// A tensor of f64 with this shape.
+    ///
+    /// # Errors
+    /// If a tensor is missing, has another shape or type, or a value is not finite.
     pub fn f64(&self, name: &str, shape: &[usize]) -> Result<Vec<f64>, TensorError> {
         let view = self.checked(name, shape, Dtype::F64)?;
         let (words, _) = view.data().as_chunks::<8>();
@@ -210,6 +222,9 @@ impl<'a> Reader<'a> {
     }
 
     /// A matrix of f64.
+    ///
+    /// # Errors
+    /// If a tensor is missing, has another shape or type, or a value is not finite.
     pub fn matrix<const R: usize, const C: usize>(
         &self,
         name: &str,
@@ -218,6 +233,9 @@ impl<'a> Reader<'a> {
     }
 
     /// The network with these widths.
+    ///
+    /// # Errors
+    /// If a tensor is missing, has another shape or type, or a value is not finite.
     pub fn mlp(&self, name: &str, widths: &[usize]) -> Result<Mlp, TensorError> {
         let mut mlp = Mlp::zeros(widths);
         for (n, layer) in mlp.layers.iter_mut().enumerate() {

@@ -151,6 +151,10 @@ fn phases(problem: &PlanningProblem, config: &OptimiseConfig) -> Vec<OptimisePha
 }
 
 /// Runs Algorithm 1 from the start or from saved `progress`.
+///
+/// # Errors
+/// If a number of `config` is out of range, no candidate is feasible, the result violates a chance constraint,
+/// or `watch` cannot save.
 pub fn optimise(
     problem: &PlanningProblem,
     config: &OptimiseConfig,

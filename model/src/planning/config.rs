@@ -10,38 +10,38 @@ use crate::planning::plant::{Objective, ObjectiveEstimate, RolloutLimits};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiseConfig {
-    /// J_η
+    /// Weights and slopes of J_η, Eq. (29).
     pub objective: Objective,
     /// What the latent rollout knows beyond the learned predictor.
     pub limits: RolloutLimits,
     /// Which heads of risk and gain the latent rollout reads.
     pub heads: HeadSource,
-    /// H
+    /// H, intervals of a rollout.
     pub horizon: usize,
-    /// K, a multiple of 32.
+    /// K, rollouts of an iteration, a multiple of 32.
     pub rollouts: usize,
-    /// λ of Adam.
+    /// Learning rate of Adam in both stages (λ in Algorithm 1).
     pub learning_rate: f32,
-    /// Largest global gradient norm of stage 1.
+    /// Largest norm of the whole gradient in stage 1; a longer one is scaled down to it.
     pub gradient_clip: f32,
-    /// Standard deviation of the speed's kick in training rollouts, units per interval.
+    /// Standard deviation of the gusts in training rollouts, per axis, units per interval.
     pub kick: f64,
-    /// Spread of the start position, units, and of the start speed, units per interval.
+    /// Standard deviations, per axis: of the start position, units, and of the start velocity, units per interval.
     pub start_spread: [f64; 2],
-    /// Rendered and encoded start pairs.
+    /// Starts that are rendered and encoded, as two frames one interval apart.
     pub starts: usize,
     /// Iterations of the warm start: without obstacle, at each displacement, at the true place.
     pub warm_iterations: [usize; 3],
-    /// Displacements of the obstacle in the warm start, units.
+    /// Displacements of the obstacle along y in the warm start, units, largest first.
     pub displacements: Vec<f64>,
-    /// Iterations at each η.
+    /// Iterations of stage 1 at each η.
     pub stage1_iterations: usize,
-    /// A candidate and each η end with the mean of the weights of their last iterations, this many:
-    /// the last iterate alone carries the noise of one batch.
+    /// Last iterations of a candidate and of each η whose weights are averaged: the last iterate alone carries
+    /// the noise of one batch.
     pub averaged_iterations: usize,
-    /// μ, growth of η.
+    /// μ, factor from one η to the next, above 1 (Algorithm 1, line 15).
     pub barrier_growth: f64,
-    /// ε_0: stage 1 ends when 1/η falls below it.
+    /// ε_0: stage 1 ends when 1/η falls below it (Algorithm 1, line 16).
     pub barrier_end: f64,
     /// Rollouts on which the two candidates and the final policy are measured.
     pub comparison_rollouts: usize,
@@ -51,11 +51,11 @@ pub struct OptimiseConfig {
     pub stage2_iterations: usize,
     /// Closed-loop flights on which the finished pair is checked before it is kept.
     pub check_flights: usize,
-    /// Kick of the gusts in those flights, where the scenario has none of its own; units per interval.
+    /// Standard deviation of the gusts in those flights if the scenario has none, per axis, units per interval.
     pub check_kick: f64,
 }
 
-/// HeadSource of risk and gain in the latent rollout.
+/// Where the heads of risk and gain come from in the latent rollout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum HeadSource {
@@ -134,6 +134,9 @@ pub enum OptimiseError {
 
 impl OptimiseConfig {
     /// Checks the numbers that the loops rely on.
+    ///
+    /// # Errors
+    /// [`OptimiseError::Range`] with the key.
     pub fn check(&self) -> Result<(), OptimiseError> {
         let blocks = |n: usize| n >= LANES && n.is_multiple_of(LANES);
         for (key, n) in [

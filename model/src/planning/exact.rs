@@ -12,7 +12,7 @@ use crate::numeric::kernel::{LANES, Lane, ZERO};
 /// beside every softness and large beside f64's rounding.
 const STEP: f64 = 1e-4;
 
-/// What an exact head tells.
+/// The quantity of an exact head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Logit of the collision probability.
@@ -30,7 +30,7 @@ pub struct Exact {
 }
 
 impl Exact {
-    /// The equation as `probe` tells positions from latents.
+    /// The equation; `probe` maps latents to positions.
     #[must_use]
     pub fn new(quantity: Quantity, probe: Probe, scenario: Scenario) -> Self {
         Self { quantity, probe, scenario }

@@ -1,4 +1,4 @@
-//! A policy network for [`LANES`](crate::numeric::kernel::LANES)(kernel::LANES) rollouts at once: forward, and the way back.
+//! A policy network for [`LANES`](crate::numeric::kernel::LANES) rollouts at once: forward and backward.
 
 use crate::numeric::kernel::{self, Lane, ZERO};
 use crate::numeric::mlp::{Dense, Mlp};
@@ -21,7 +21,7 @@ pub(crate) fn times_tanh_slope(d: &mut [Lane], h: &[Lane]) {
     }
 }
 
-/// A policy's action probabilities for all lanes, keeping the hidden layers for the way back.
+/// A policy's action probabilities for all lanes, keeping the hidden layers for the backward pass.
 #[inline(always)]
 pub(crate) fn probabilities(net: &Mlp, x: &[Lane], h1: &mut [Lane], h2: &mut [Lane], p: &mut [Lane]) {
     let [l1, l2, l3] = net.layers.as_slice() else { return };
@@ -49,7 +49,7 @@ pub(crate) fn probabilities(net: &Mlp, x: &[Lane], h1: &mut [Lane], h2: &mut [La
     }
 }
 
-/// A policy network's transposed weights, for the way back.
+/// A policy network's transposed weights, for the backward pass.
 pub(crate) struct Back {
     /// First layer, `[hidden][features]`.
     pub(crate) w1: Vec<f32>,

@@ -1,10 +1,10 @@
-//! What π_s cannot do in time: rollouts that open with a few held motions before π_s goes on, scored one
-//! by one by Algorithm 1's objective, and the first motion of the best.
+//! A search beside π_s: rollouts that open with a few held motions before π_s continues, scored one by one
+//! by Algorithm 1's objective, and the first motion of the best.
 //!
 //! π_s is a function of place and speed, made beside obstacles where they stood; one that crosses fast
 //! asks for a wait or a detour *now*. The openings lead both ways round and to a stop, and π_s alone is
 //! one of them, so the choice is never worse than π_s on the rollout that it is made on. Nothing is
-//! drawn by lot and nothing learned in flight.
+//! drawn at random and nothing learned in flight.
 
 use serde::{Deserialize, Serialize};
 

@@ -3,7 +3,8 @@
 //! Everything happens in plane coordinates (z = E y, so nothing is lost): the learned predictor
 //! rolls the latents out, the learned heads tell risk and channel, and the chance constraints enter
 //! by barriers. The reverse mode is written by hand; the tests hold it against finite differences
-//! and against burn's autodiff. Rollouts run [`LANES`](crate::numeric::kernel::LANES) at a time, blocks of them on all cores.
+//! and against burn's autodiff. Rollouts run [`LANES`](crate::numeric::kernel::LANES) at a time, blocks of them
+//! on all cores.
 
 use crpl_sitl::world::channel;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! The learned world as Algorithm 1 rolls it out, and what a batch of rollouts is given and gives.
+//! The learned world as Algorithm 1 rolls it out; a batch of rollouts: its draws, options and scores.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,27 +8,27 @@ use crate::planning::head::Head;
 use crate::predictor::Predictor;
 use crate::predictor::linear::PlaneLinear;
 
-/// Weights and slopes of J_η. `Default`: paper-given where the paper gives them, else docs/choices.md.
+/// Weights and slopes of J_η, Eq. (29). `Default`: the values of Sec. IV-A5, else those of docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Objective {
     /// Weight of |r - r_g|²: what the unknown latent scale of ‖z_c - z_g‖² in Eq. (9) stands for.
     pub lambda_goal: f64,
-    /// λ_s
+    /// λ_s, weight of ‖a_s‖² in the stage cost, Eq. (9).
     pub lambda_motion: f64,
-    /// λ_p
+    /// λ_p, weight of a_p² in the stage cost, Eq. (9).
     pub lambda_power: f64,
-    /// α, slope of the smooth outage.
+    /// α, slope of the smooth outage, Eq. (26).
     pub alpha: f64,
-    /// β of the soft minimum.
+    /// β of the soft minimum, Eq. (23).
     pub beta: f64,
-    /// ε_b
+    /// ε_b, weight of the barrier as η grows without bound.
     pub barrier_residual: f64,
-    /// δ1
+    /// δ1, tolerated probability of a collision, Eq. (10).
     pub collision_tolerance: f64,
-    /// δ2
+    /// δ2, tolerated probability of an outage, Eq. (14).
     pub outage_tolerance: f64,
-    /// γ_min P_n: the received power that counts as connected.
+    /// γ_min, SNR that counts as connected, linear. The gain head already has the noise power folded in.
     pub snr_min: f64,
 }
 
@@ -71,17 +71,17 @@ pub struct Plant {
     pub scale: f32,
     /// v_max, units per interval.
     pub v_max: f32,
-    /// Images of the frame's corners (0,0) and (1,1) in y_c.
+    /// y_c of the frame's corners (0, 0) and (1, 1).
     pub corners: [[f32; 2]; 2],
     /// Where each obstacle can be, in y_u; `None`, or no entry, predicts it straight on for ever.
     pub areas: Vec<Option<Area>>,
     /// What the rollout knows of limits.
     pub limits: RolloutLimits,
-    /// y_g
+    /// y_g, y_c of the goal.
     pub goal: [f32; 2],
-    /// Logit of the collision probability.
+    /// Logit of the collision probability, from `[y_c, y_u]`.
     pub collision: Head,
-    /// log(|h|²/P_n).
+    /// ln(|h|²/P_n), from `[y_c, y_u]`.
     pub gain: Head,
 }
 
@@ -95,7 +95,7 @@ pub struct Draws {
     /// The y_u that the policy reads, if it is not the first obstacle's own: one that was trained beside a
     /// standing obstacle has learned nothing of others.
     pub reported_obstacle: Option<[f32; 2]>,
-    /// (kick/a_max) w_k, one `[Lane; 2]` an interval; its length is the horizon H.
+    /// Gusts in units of a_max, one `[Lane; 2]` an interval; its length is the horizon H.
     pub wind: Vec<[Lane; 2]>,
     /// Motions of the first intervals that are not the policy's, one row an interval; for
     /// [`evaluate`](crate::planning::objective::evaluate) alone,
@@ -106,24 +106,24 @@ pub struct Draws {
 /// Rollout-based estimates of one batch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ObjectiveEstimate {
-    /// J_η
+    /// J_η, Eq. (29).
     pub j: f64,
-    /// Mean of Σ_k ℓ_k.
+    /// Mean over the rollouts of Σ_k ℓ_k, Eq. (9).
     pub cost: f64,
-    /// P̂_safe
+    /// P̂_safe, Eq. (24), at most 1.
     pub p_safe: f64,
-    /// P̂_comm at the given power.
+    /// P̂_comm, Eq. (28), at the given power, in 0..=1.
     pub p_comm: f64,
 }
 
 /// Scores of single rollouts: Σ ℓ_k, s_safe, s_comm.
 #[derive(Debug, Clone, Default)]
 pub struct Scores {
-    /// Σ_k ℓ_k
+    /// Σ_k ℓ_k of each rollout.
     pub cost: Vec<f64>,
-    /// s_safe
+    /// s_safe of each rollout, Eq. (22).
     pub safe: Vec<f64>,
-    /// s_comm
+    /// s_comm of each rollout, Eq. (27).
     pub comm: Vec<f64>,
 }
 
@@ -132,7 +132,7 @@ pub struct Scores {
 pub struct RolloutOptions {
     /// η, or no barrier at all.
     pub eta: Option<f64>,
-    /// a_p during the rollout (stage 1: the maximum).
+    /// a_p during the rollout, 1 or 4 (stage 1: the maximum).
     pub power: f64,
     /// Whether the rollout flies the feasible action nearest to the relaxed one, with the relaxed
     /// one's gradient (straight-through), or the relaxed one itself.

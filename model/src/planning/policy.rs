@@ -117,6 +117,9 @@ impl Policies {
     }
 
     /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
+    ///
+    /// # Errors
+    /// If no policy ships for this scenario.
     pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
         let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(n)) else {
             let message = format!("no policy ships for scenario {scenario}");
@@ -147,6 +150,9 @@ impl Policies {
     }
 
     /// Writes both networks as `motion.N.weight`, `motion.N.bias`, `power.…` (weights `[in, out]`).
+    ///
+    /// # Errors
+    /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
         let mut bytes: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
         let raw = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -172,6 +178,9 @@ impl Policies {
     }
 
     /// Reads what [`Policies::save`] wrote.
+    ///
+    /// # Errors
+    /// If the file is missing or a tensor has another shape or type.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let bytes = std::fs::read(path).map_err(|source| PolicyError::Io { path: path.into(), source })?;
         Self::from_bytes(&bytes).map_err(|message| PolicyError::Content { path: path.into(), message })

@@ -49,6 +49,9 @@ pub struct PlanningProblem {
 
 impl PlanningProblem {
     /// The scenario as `world` sees it.
+    ///
+    /// # Errors
+    /// If a head is not a 4-64-64-1 network.
     pub fn of(
         world: &WorldModel,
         scenario: &Scenario,

@@ -32,7 +32,7 @@ pub struct RecedingConfig {
     pub eta: f64,
     /// Intervals that a rollout looks ahead at least, near the end of the flight too.
     pub least_horizon: usize,
-    /// What is tried at every interval beside π_s.
+    /// The openings that are tried at every interval.
     pub lookahead: LookaheadConfig,
 }
 

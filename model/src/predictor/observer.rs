@@ -3,7 +3,7 @@
 //!
 //! Two frames give a speed that carries both frames' errors, and a rollout of 100 steps multiplies
 //! it by 100. Here every frame of a window counts: a Kalman filter runs over the window from its
-//! first frame on, so with no disturbance reckoned with (`kick` 0) it is least squares after the
+//! first frame on, so without an assumed disturbance (`kick` 0) it is least squares after the
 //! actions' contribution is taken out, and with a large one it leans on the last two frames. Plane
 //! coordinates throughout. Knows latents and actions; neither frames nor positions.
 //!
@@ -11,7 +11,7 @@
 //! - The speed limit is part of the prediction: at v_max the linear model alone would run ahead.
 //! - A poor frame (a disc that the frame cuts, a UAV over the obstacle) weighs less.
 //! - A wall or a bounce breaks the model: an innovation that no frame's error explains, or several poor
-//!   frames in a row, and the window begins anew with the last two.
+//!   frames in a row, and the window restarts with the last two.
 
 use std::collections::VecDeque;
 
@@ -20,7 +20,7 @@ use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
 use crate::predictor::Predictor;
 use crate::predictor::linear::Displacement;
 
-/// Standard deviation that is reckoned with for a decoded coordinate, units: 0.03 px. Whole discs on empty
+/// Assumed standard deviation of a decoded coordinate, units: 0.03 px. Whole discs on empty
 /// ground are three times better; a rim of the obstacle under the UAV is not.
 pub const FRAME_NOISE: f64 = 3e-4;
 
@@ -32,7 +32,7 @@ const WHOLE: f32 = 2e-3;
 const CUT: f64 = 4.0;
 
 /// Standard deviation of the UAV's coordinates in units of [`FRAME_NOISE`], from the missing share q of
-/// its colour: a whole disc says more than one that the frame's edge cuts.
+/// its colour: a whole disc is more accurate than one that the frame's edge cuts.
 #[must_use]
 pub fn sigma_scale(missing: f32) -> f64 {
     if missing.abs() > WHOLE { CUT } else { 1.0 }
@@ -59,7 +59,7 @@ const POOR: f64 = 16.0;
 /// Squared Mahalanobis distance beyond which the window breaks: 25 standard deviations, 0.8 px.
 const BREAK: f64 = 625.0;
 
-/// Missing frames after which what was seen before is worth nothing.
+/// Missing frames after which earlier frames are dropped.
 const LONGEST_GAP: usize = 50;
 
 /// Poor frames in a row that break the window.
@@ -217,7 +217,7 @@ impl LatentObserver {
 struct Filter {
     state: Vector4<f64>,
     covariance: Matrix4<f64>,
-    /// Whether a second frame has told a speed.
+    /// Whether a second frame has given a velocity.
     moving: bool,
     /// Poor frames since the last good one.
     poor: usize,

@@ -86,6 +86,9 @@ pub const ABLATIONS: [Ablation; 20] = [
 
 impl Ablation {
     /// Trains with the change and measures `count` frames of each kind.
+    ///
+    /// # Errors
+    /// If the backend is not in this build or a file fails; a fit that fails is a row.
     pub fn run(&self, base: &TrainConfig, backend: Backend, count: usize) -> Result<AblationRow, TrainError> {
         let mut config = base.clone();
         // Enough for the alarms' rollouts.

@@ -1,4 +1,4 @@
-//! Finished stages of a training run on disk, so that a run that was stopped goes on where it was.
+//! Finished stages of a training run on disk, so that an interrupted run resumes.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ pub enum CacheError {
     Resume(PathBuf),
 }
 
-/// The folder of finished stages, or none: then everything is made anew and nothing is written.
+/// The folder of finished stages; without one, every stage is computed and nothing is written.
 #[derive(Debug)]
 pub struct StageCache {
     dir: Option<PathBuf>,
@@ -34,7 +34,10 @@ impl StageCache {
         Self { dir: None }
     }
 
-    /// Begins anew in `dir`, or goes on with the run there if it is `identity`'s.
+    /// Starts a run in `dir`, or with `resume` continues the one there, which must have the same `identity`.
+    ///
+    /// # Errors
+    /// [`CacheError::Resume`] if the run there is another one; else if a file cannot be read or written.
     pub fn open(dir: PathBuf, identity: &str, resume: bool) -> Result<Self, CacheError> {
         let failed = |source| TensorError::File { path: dir.clone(), source };
         let marker = dir.join("run.json");
@@ -60,6 +63,9 @@ impl StageCache {
 
     /// Reads the stage if it is finished, else makes and writes it; then it is read all the same, so
     /// that a resumed run sees exactly what an unbroken one does.
+    ///
+    /// # Errors
+    /// What `make` returns, or if a file of the stage cannot be read or written.
     pub fn keep<T, E: From<TensorError>>(
         &self,
         name: &str,
@@ -83,6 +89,9 @@ impl StageCache {
     }
 
     /// Everything is in the checkpoint now.
+    ///
+    /// # Errors
+    /// If the folder cannot be removed.
     pub fn remove(self) -> Result<(), TensorError> {
         let Some(dir) = self.dir else { return Ok(()) };
         std::fs::remove_dir_all(&dir).map_err(|source| TensorError::File { path: dir, source })
@@ -95,6 +104,9 @@ pub fn load_one<T: Stored>(dir: &Path, name: &str) -> Result<T, TensorError> {
 }
 
 /// Writes a file of a stage that holds one value.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn save_one(value: &impl Stored, dir: &Path, name: &str) -> Result<(), TensorError> {
     let mut out = Writer::default();
     value.put(&mut out);
@@ -113,6 +125,9 @@ pub fn read<T>(
 }
 
 /// Writes both sets' features.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn save_features(sets: &[Triples; 2], dir: &Path) -> Result<(), TensorError> {
     let mut out = Writer::default();
     for (name, features) in NAMES.iter().zip(sets.iter().flat_map(|s| &s.features)) {
@@ -123,6 +138,9 @@ pub fn save_features(sets: &[Triples; 2], dir: &Path) -> Result<(), TensorError>
 }
 
 /// Reads what [`save_features`] wrote of these triples.
+///
+/// # Errors
+/// If the file is missing or has other shapes than `picks` need.
 pub fn load_features(
     dir: &Path,
     context: &TrainContext<'_>,
@@ -148,6 +166,9 @@ pub fn load_features(
 const NAMES: [&str; 6] = ["long.0", "long.1", "long.2", "short.0", "short.1", "short.2"];
 
 /// Writes the weights of a stage.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn save_weights(weights: &Weights, dir: &Path) -> Result<(), TensorError> {
     save_one(weights, dir, "weights.safetensors")
 }
@@ -157,7 +178,10 @@ pub fn load_weights(dir: &Path) -> Result<Weights, TensorError> {
     load_one(dir, "weights.safetensors")
 }
 
-/// Writes an encoder and what its fit says of itself.
+/// Writes an encoder and the check of its fit.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn save_encoder((encoder, check): &(Encoder, Option<FitCheck>), dir: &Path) -> Result<(), TensorError> {
     let mut out = Writer::default();
     encoder.weights().put(&mut out);
@@ -168,6 +192,9 @@ pub fn save_encoder((encoder, check): &(Encoder, Option<FitCheck>), dir: &Path) 
 }
 
 /// Reads what [`save_encoder`] wrote.
+///
+/// # Errors
+/// If the file is missing or a tensor has another shape.
 pub fn load_encoder(dir: &Path) -> Result<(Encoder, Option<FitCheck>), TensorError> {
     read(dir, "encoder.safetensors", |from| {
         let encoder = Encoder::new(Weights::get(from)?);

@@ -39,6 +39,9 @@ pub enum FitError {
 
 /// z_c: least squares of the double differences of x on the known response, over both sets of triples.
 /// Returns the head and its rms residual in latent units.
+///
+/// # Errors
+/// If the Gram matrix is singular.
 pub fn controllable(
     sets: [&Triples; 2],
     gated: bool,
@@ -67,6 +70,9 @@ pub fn controllable(
 
 /// z_u: the two slowest directions of x, `rounds` times fitted on the share `keep` of the short
 /// triples that the last fit explains best. Returns the head and the smallest eigenvalues.
+///
+/// # Errors
+/// If the covariance is singular.
 pub fn uncontrollable(
     short: &Triples,
     long: &Triples,

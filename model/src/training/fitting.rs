@@ -118,6 +118,9 @@ pub fn features(context: &TrainContext<'_>, weights: &Weights, picks: &[Vec<Trip
 }
 
 /// The weights with heads fitted to these triples, the features by the flight path's encoder: quick.
+///
+/// # Errors
+/// If the normal equations are singular.
 pub fn refitted(
     context: &TrainContext<'_>,
     mut weights: Weights,
@@ -150,6 +153,9 @@ pub fn some_frames(context: &TrainContext<'_>, picks: &[Vec<Triple>; 2]) -> Vec<
 }
 
 /// Fits both latent heads in place.
+///
+/// # Errors
+/// If the normal equations are singular.
 pub fn fit_heads(
     context: &TrainContext<'_>,
     weights: &mut Weights,
@@ -221,7 +227,7 @@ pub fn fit_probe(context: &TrainContext<'_>, encoder: &Encoder) -> Probe {
     Probe { c: probe::fit(&y_c, &r_c), u: probe::fit(&y_u, &r_u) }
 }
 
-/// Risk and channel heads on labelled frames. Base stations stand anywhere in the frame's square.
+/// Risk and channel heads on labelled frames, with base stations anywhere in the frame's square.
 #[must_use]
 pub fn train_heads(context: &TrainContext<'_>, encoder: &Encoder, probe: &Probe) -> Heads {
     let (config, scenario) = (&context.config.heads, context.data.scenario);

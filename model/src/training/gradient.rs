@@ -2,7 +2,7 @@
 //! (Sec. II-A3 and IV-A2). Read [`train`] from top to bottom; the losses are in [`losses`].
 //!
 //! No labels: frames and actions only. Every number that decides the next step is in one value, so
-//! a run that was stopped goes on with the bytes of one that was not.
+//! an interrupted run ends with the same bytes as an uninterrupted one.
 
 use std::path::Path;
 
@@ -28,7 +28,7 @@ use crate::world_model::dataset::{self, Triple};
 use crate::world_model::stages::{Gradient, HeadStart, Layers, PsiStart};
 use crpl_sitl::camera::effects::FrameId;
 
-/// File of the state that `--resume` goes on with.
+/// File of the state from which `--resume` continues.
 pub const PROGRESS: &str = "gradient.safetensors";
 
 /// Why the stage stopped.
@@ -57,6 +57,9 @@ struct GradientState {
 }
 
 /// Trains `start` and returns the target encoder, with heads of its own. `dir` keeps the progress.
+///
+/// # Errors
+/// If the loss diverges, a fit of the heads fails, or the progress cannot be read or written.
 pub fn train(
     start: &Weights,
     stage: &Gradient,

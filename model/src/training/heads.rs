@@ -28,7 +28,7 @@ pub struct Samples {
     pub label: Vec<Label>,
 }
 
-/// Trains both heads. `probe` tells where latents lie; `tick` hears of every step.
+/// Trains both heads. `probe` maps latents to positions; `tick` is called for every step.
 pub fn train(
     samples: &Samples,
     probe: &Probe,

@@ -57,7 +57,11 @@ struct LatentEpisodes {
     actions: Vec<Vec<Vector2<f64>>>,
 }
 
-/// Trains all of [`PredictorKind::NETWORKS`] on the latents of `model`, each on a core of its own; `tick` hears of every step.
+/// Trains all of [`PredictorKind::NETWORKS`] on the latents of `model`, each on a core of its own; `tick`
+/// is called for every step.
+///
+/// # Errors
+/// If the world model has no fingerprint.
 pub fn train(
     model: &WorldModel,
     config: &NetworksConfig,
@@ -271,6 +275,9 @@ const SHORT: usize = 4;
 const GROWTH: f64 = 0.4;
 
 /// Writes a finished stage.
+///
+/// # Errors
+/// If a file cannot be written.
 pub fn save(trained: &Trained, dir: &Path) -> Result<(), TensorError> {
     let mut out = Writer::default();
     for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
@@ -285,6 +292,9 @@ pub fn save(trained: &Trained, dir: &Path) -> Result<(), TensorError> {
 const CURVES: &str = "curves.safetensors";
 
 /// Reads what [`save`] wrote.
+///
+/// # Errors
+/// If a file is missing or a tensor has another shape.
 pub fn load(dir: &Path) -> Result<Trained, TensorError> {
     let path = dir.join(CURVES);
     let bytes = tensors::read(&path)?;
@@ -301,7 +311,10 @@ pub fn load(dir: &Path) -> Result<Trained, TensorError> {
     Ok(Trained { curves: curves.collect::<Result<_, _>>()?, networks })
 }
 
-/// Puts the networks beside the checkpoint, and their learning curves as CSV, SVG and PNG.
+/// Writes the networks next to the checkpoint, and their learning curves as CSV, SVG and PNG.
+///
+/// # Errors
+/// If a file cannot be written or the figure cannot be drawn.
 pub fn publish(trained: &Trained, dir: &Path) -> Result<(), PlotError> {
     let failed = |e: TensorError| PlotError { path: dir.into(), message: e.to_string() };
     trained.networks.save(dir).map_err(failed)?;

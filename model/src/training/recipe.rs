@@ -1,8 +1,8 @@
 //! Training, read from top to bottom: collect, start values, gradient stage, features, closed form,
-//! predictor, probe, heads, evaluate, alarms. Which of them a run has stands in its configuration; the
+//! predictor, probe, heads, evaluate, alarms. The configuration names those of a run; the
 //! shipped recipe has no gradient stage (the trunk keeps its structured start).
 //!
-//! Every finished stage is on disk, so a run that was stopped goes on where it was and ends with the
+//! Every finished stage is on disk, so an interrupted run resumes and ends with the
 //! bytes of one that was not. All chance comes from the seed. A model that raises an alarm does not
 //! ship.
 
@@ -78,16 +78,16 @@ pub enum TrainError {
     },
 }
 
-/// What a run needs beside its configuration.
+/// What a run needs in addition to its configuration.
 #[derive(Debug, Clone)]
 pub struct Run {
     /// burn's backend.
     pub backend: Backend,
-    /// Where the checkpoint goes; unfinished stages stand in `stages` beside it.
+    /// Folder of the checkpoint; the stages of an unfinished run are in `stages` inside it.
     pub out: PathBuf,
     /// A dataset of `model collect` instead of a new one.
     pub data: Option<PathBuf>,
-    /// Whether to go on with an unfinished run.
+    /// Whether to resume an unfinished run.
     pub resume: bool,
     /// Started with the run: the card says what training has cost.
     pub stopwatch: Stopwatch,
@@ -112,6 +112,9 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 }
 
 /// The whole recipe. Writes the checkpoint and returns it with its diagnostics.
+///
+/// # Errors
+/// [`TrainError::Alarms`] if the model is not fit to ship; else if a stage or a file fails.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics), TrainError> {
     config.check()?;
     let revision = crate::revision();
@@ -182,6 +185,9 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
 }
 
 /// The MLP and the LSTM on the latents of `model`, with a progress bar.
+///
+/// # Errors
+/// If the world model has no fingerprint.
 pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let bar = progress::bar("networks", config.networks.steps() as u64);
@@ -194,6 +200,9 @@ pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, Tra
 /// An encoder with predictors and probe and without risk and channel heads, and its diagnostics:
 /// for comparisons. The closed form reads the features of the flight path's encoder, which is quicker
 /// and differs in the last bits. Writes nothing.
+///
+/// # Errors
+/// If the backend is not in this build or a fit fails.
 pub fn without_heads(
     config: &TrainConfig,
     backend: Backend,

@@ -1,11 +1,11 @@
-//! What a checkpoint says of itself: its configuration and what was measured. Plain data; measured by
+//! The metadata of a checkpoint: its configuration and its metrics. Plain data; measured by
 //! [`evaluation`](crate::evaluation).
 
 use serde::{Deserialize, Serialize};
 
 use crate::world_model::config::TrainConfig;
 
-/// What a checkpoint says of itself; equal for equal seeds (time and revision stand in card.md).
+/// The metadata of a checkpoint; equal for equal seeds (time and revision are in card.md).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Card {
@@ -35,7 +35,7 @@ pub struct WorldMetrics {
     pub heads_anywhere: HeadMetrics,
     /// Heads at the end of latent rollouts, stations as above.
     pub heads_anywhere_after_rollout: HeadMetrics,
-    /// What the closed form says of itself without labels.
+    /// Quality of the closed form, without labels.
     pub label_free: FitCheck,
 }
 
@@ -91,7 +91,7 @@ pub struct HeadMetrics {
     pub gain_p90_db: f64,
 }
 
-/// What the fit says of itself, without labels.
+/// Quality of a fit, without labels.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FitCheck {

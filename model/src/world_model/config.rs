@@ -255,6 +255,9 @@ pub enum ConfigError {
 
 impl TrainConfig {
     /// The configuration of `path`, or the shipped one, with another seed if one is given.
+    ///
+    /// # Errors
+    /// As [`TrainConfig::load`].
     pub fn resolve(path: Option<&PathBuf>, seed: Option<u64>) -> Result<Self, ConfigError> {
         let mut config = path.map_or_else(|| Ok(Self::default()), |path| Self::load(path))?;
         config.seed = seed.unwrap_or(config.seed);
@@ -294,6 +297,9 @@ impl TrainConfig {
     }
 
     /// Refuses values that make no sense.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] or [`ConfigError::Missing`] with the dotted key.
     pub fn check(&self) -> Result<(), ConfigError> {
         self.check_counts()?;
         self.check_sizes()?;

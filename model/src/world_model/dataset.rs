@@ -180,6 +180,9 @@ pub fn triples(
 }
 
 /// Writes the episodes of a dataset: `uav`, `velocity`, `obstacle` `[n, T+2, 2]`, `actions` `[n, T, 2]`.
+///
+/// # Errors
+/// If a file cannot be written.
 pub fn save(episodes: &[Episode], dir: &Path) -> Result<(), TensorError> {
     std::fs::create_dir_all(dir).map_err(TensorError::file(dir))?;
     let steps = episodes.first().map_or(0, |e| e.actions.len());
@@ -202,6 +205,9 @@ fn velocities(episode: &Episode) -> Vec<Vector2<f64>> {
 }
 
 /// Reads what [`save`] wrote; `steps` must be the episodes' length.
+///
+/// # Errors
+/// If the file is missing, a tensor has another shape, or a position lies outside the unit square.
 pub fn load(dir: &Path, steps: usize) -> Result<Vec<Episode>, TensorError> {
     let path = dir.join(EPISODES);
     let bytes = tensors::read(&path)?;

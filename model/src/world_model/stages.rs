@@ -86,7 +86,8 @@ pub struct Gradient {
     pub clip: f64,
     /// τ: φ_tar ← τ φ_tar + (1-τ) φ, Eq. (7), Sec. II-A3.
     pub momentum: f64,
-    /// Whitened prediction loss: weight of the error against the target encoder beside that against the online one.
+    /// Whitened prediction loss: weight of the error against the target encoder, relative to that against the
+    /// online one.
     pub target_weight: f64,
     /// Whitened prediction loss: share of the short triples kept in z_u's loss: the others hit a wall.
     pub keep: f64,
@@ -94,7 +95,7 @@ pub struct Gradient {
     pub whitening: f64,
     /// Whitened prediction loss: weight of what lies off the two planes.
     pub off_plane: f64,
-    /// Steps between two saved states, from which `--resume` goes on.
+    /// Steps between two saved states, from which `--resume` continues.
     pub save_every: usize,
 }
 
