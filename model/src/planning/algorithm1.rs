@@ -336,7 +336,7 @@ fn finish(
         let norm = adam.descend(&mut power, &grad, f32::INFINITY, config.learning_rate);
         watch.iteration("stage 2, power", i + 1, config.stage2_iterations, &estimate, norm);
     }
-    let policies = Policies { motion, power, world: problem.world.clone() };
+    let policies = Policies { motion, power, world: problem.world.clone(), scope: None };
     let (p_comm_executed, mean_power) = executed_power(o, &policies, &blocks);
     let (motion_estimate, _) = measure(problem, config, noise, &policies.motion, last_eta);
     let checks = [

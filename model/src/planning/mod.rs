@@ -14,3 +14,4 @@ mod power;
 pub mod problem;
 pub mod receding;
 mod rollout;
+pub mod scope;

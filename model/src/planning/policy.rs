@@ -14,9 +14,13 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use crate::numeric::kernel;
 use crate::numeric::mlp::{Dense, Mlp};
+use crate::planning::scope::PolicyScope;
 
 /// Key of the world model's fingerprint in a policy file's metadata.
 const WORLD: &str = "world_model";
+
+/// Key of the [`PolicyScope`] in a policy file's metadata, as JSON.
+const SCOPE: &str = "scope";
 
 /// Number of inputs of each policy.
 pub const FEATURES: usize = 6;
@@ -62,6 +66,9 @@ pub struct Policies {
     pub power: Mlp,
     /// Fingerprint of the world model whose latents they read; they mean nothing in another's.
     pub world: String,
+    /// The scenario that they were optimised and checked for; `None` before the check, and in files of
+    /// versions that did not say it.
+    pub scope: Option<PolicyScope>,
 }
 
 /// Why a policy file could not be used.
@@ -113,7 +120,7 @@ impl Policies {
         if let Some(last) = power.layers.last_mut() {
             last.b = vec![0.5, -0.5];
         }
-        Self { motion, power, world: String::new() }
+        Self { motion, power, world: String::new(), scope: None }
     }
 
     /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
@@ -171,9 +178,12 @@ impl Policies {
             })
             .collect::<Result<Vec<_>, _>>()
             .map_err(|e| content(e.to_string()))?;
-        let file =
-            safetensors::serialize(views, Some(HashMap::from([(WORLD.to_owned(), self.world.clone())])))
-                .map_err(|e| content(e.to_string()))?;
+        let mut metadata = HashMap::from([(WORLD.to_owned(), self.world.clone())]);
+        if let Some(scope) = &self.scope {
+            let scope = serde_json::to_string(scope).map_err(|e| content(e.to_string()))?;
+            metadata.insert(SCOPE.to_owned(), scope);
+        }
+        let file = safetensors::serialize(views, Some(metadata)).map_err(|e| content(e.to_string()))?;
         std::fs::write(path, file).map_err(|source| PolicyError::Io { path: path.into(), source })
     }
 
@@ -219,14 +229,23 @@ impl Policies {
         };
         let (_, header) =
             SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
-        let world = header.metadata().as_ref().and_then(|m| m.get(WORLD)).cloned().unwrap_or_default();
-        Ok(Self { motion: net("motion", &MOTION_WIDTHS)?, power: net("power", &POWER_WIDTHS)?, world })
+        let metadata = |key: &str| header.metadata().as_ref().and_then(|m| m.get(key));
+        let scope = metadata(SCOPE)
+            .map(|text| serde_json::from_str(text).map_err(|e| format!("metadata `{SCOPE}`: {e}")))
+            .transpose()?;
+        Ok(Self {
+            motion: net("motion", &MOTION_WIDTHS)?,
+            power: net("power", &POWER_WIDTHS)?,
+            world: metadata(WORLD).cloned().unwrap_or_default(),
+            scope,
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crpl_sitl::Scenario;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -234,7 +253,8 @@ mod tests {
     fn a_file_gives_back_the_same_policies() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("policy.safetensors");
-        let policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        let mut policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        policies.scope = Some(PolicyScope::new(Scenario::default(), 0.0015));
         policies.save(&path).unwrap();
         assert_eq!(Policies::load(&path).unwrap(), policies);
     }

@@ -1,0 +1,210 @@
+//! The world that a policy was optimised and checked for, and whether a scenario lies in it.
+//!
+//! A policy sees latents alone. Where the goal is, where the base station stands and how large the obstacle
+//! is are in its weights. In another world it flies, and what it flies means nothing.
+
+use std::fmt;
+
+use crpl_sitl::Scenario;
+use crpl_sitl::world::channel;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Keys of a scenario that a policy's weights depend on; a table stands for all of its keys. Left out are
+/// names, drawing, units of measurement, the vehicle's own autopilot, propulsion (in no objective), and the
+/// keys of [`BOUNDED`].
+const KEYS: [&str; 8] =
+    ["start", "goal", "goal_radius", "uav_radius", "obstacle", "dynamics", "channel", "safety"];
+
+/// Keys that [`PolicyScope::differences`] compares through a bound, or not at all: γ_min is part of the SNR
+/// that a packet needs.
+const BOUNDED: [&str; 1] = ["channel.snr_min"];
+
+/// What a policy was optimised and checked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PolicyScope {
+    /// The scenario of the optimisation. The policy covers scenarios with the same keys that need at most
+    /// the same SNR.
+    pub scenario: Scenario,
+    /// Largest standard deviation, per axis, of the gusts that it was checked in; units per interval.
+    pub gust_std: f64,
+}
+
+/// One key in which a scenario leaves a policy's world.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeyDifference {
+    /// Dotted key, such as `goal` or `obstacle[0].radius`; or a quantity.
+    pub key: String,
+    /// The policy's value.
+    pub policy: String,
+    /// The scenario's.
+    pub here: String,
+}
+
+impl fmt::Display for KeyDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} = {} in the policy, {} here", self.key, self.policy, self.here)
+    }
+}
+
+impl PolicyScope {
+    /// A policy that was optimised for `scenario` and checked in gusts of `gust_std` (units per interval,
+    /// per axis).
+    #[must_use]
+    pub fn new(scenario: Scenario, gust_std: f64) -> Self {
+        Self { scenario, gust_std }
+    }
+
+    /// Where `here` leaves this world; empty if the policy covers it. Numbers are compared as f32, the
+    /// width that parameters have on the wire.
+    #[must_use]
+    pub fn differences(&self, here: &Scenario) -> Vec<KeyDifference> {
+        let (ours, theirs) = (leaves(&self.scenario), leaves(here));
+        let mut found = Vec::new();
+        let none = || "none".to_owned();
+        for (key, value) in &ours {
+            match theirs.iter().find(|(other, _)| other == key) {
+                Some((_, other)) if equal(value, other) => {}
+                other => found.push(KeyDifference {
+                    key: key.clone(),
+                    policy: text(value),
+                    here: other.map_or_else(none, |(_, value)| text(value)),
+                }),
+            }
+        }
+        for (key, value) in &theirs {
+            if ours.iter().all(|(other, _)| other != key) {
+                found.push(KeyDifference { key: key.clone(), policy: none(), here: text(value) });
+            }
+        }
+        let bounds = [
+            ("gusts' standard deviation", self.gust_std, here.disturbance.kick()),
+            ("SNR that a packet needs", required_snr(&self.scenario), required_snr(here)),
+        ];
+        for (key, most, needed) in bounds {
+            if needed > most * (1.0 + 1e-6) {
+                found.push(KeyDifference {
+                    key: key.into(),
+                    policy: format!("{most:.4} at most"),
+                    here: format!("{needed:.4}"),
+                });
+            }
+        }
+        found
+    }
+}
+
+/// The SNR that a packet of this scenario needs, linear: max(γ_min, 2^(L/(B Δt)) - 1).
+#[must_use]
+pub fn required_snr(scenario: &Scenario) -> f64 {
+    let rate = channel::outage_snr(scenario.radio.b_dt, scenario.radio.packet_bits);
+    scenario.channel.snr_min.max(rate.0)
+}
+
+/// Dotted keys and values of all that matters to a policy.
+fn leaves(scenario: &Scenario) -> Vec<(String, Value)> {
+    let mut found = Vec::new();
+    // A scenario is a table of numbers, words and tables: it always has a JSON form.
+    let all = serde_json::to_value(scenario).unwrap_or_default();
+    for key in KEYS {
+        collect(key, all.get(key).unwrap_or(&Value::Null), &mut found);
+    }
+    let stands = |n: usize| scenario.obstacles.get(n).is_some_and(|o| o.velocity.norm() == 0.0);
+    found.retain(|(key, _)| {
+        // An obstacle that stands reflects nowhere.
+        let idle =
+            (0..scenario.obstacles.len()).any(|n| stands(n) && *key == format!("obstacle[{n}].margin"));
+        !idle && !BOUNDED.contains(&key.as_str())
+    });
+    found
+}
+
+fn collect(key: &str, value: &Value, found: &mut Vec<(String, Value)>) {
+    match value {
+        Value::Object(table) => {
+            table.iter().for_each(|(name, value)| collect(&format!("{key}.{name}"), value, found));
+        }
+        Value::Array(list) if list.iter().any(Value::is_object) => {
+            list.iter().enumerate().for_each(|(n, value)| collect(&format!("{key}[{n}]"), value, found));
+        }
+        Value::Array(list) if list.is_empty() => {}
+        value => found.push((key.into(), value.clone())),
+    }
+}
+
+fn equal(a: &Value, b: &Value) -> bool {
+    match (a, b) {
+        (Value::Array(a), Value::Array(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| equal(a, b)),
+        (Value::Number(a), Value::Number(b)) => match (a.as_f64(), b.as_f64()) {
+            (Some(a), Some(b)) => a as f32 == b as f32,
+            _ => a == b,
+        },
+        _ => a == b,
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::Array(list) => format!("[{}]", list.iter().map(text).collect::<Vec<_>>().join(", ")),
+        Value::String(word) => word.clone(),
+        value => value.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scope() -> PolicyScope {
+        PolicyScope::new(Scenario::named("demo").unwrap(), 0.0015)
+    }
+
+    fn differences(change: impl FnOnce(&mut Scenario)) -> Vec<String> {
+        let mut here = scope().scenario;
+        change(&mut here);
+        scope().differences(&here).iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn the_policy_s_own_world_and_easier_ones_are_covered() {
+        assert!(differences(|_| ()).is_empty());
+        assert!(differences(|s| s.name = "another".into()).is_empty());
+        assert!(differences(|s| s.radio.b_dt = 4.0).is_empty(), "more bandwidth needs less SNR");
+        assert!(differences(|s| s.disturbance.sigma_c = 0.0).is_empty());
+        assert!(differences(|s| s.obstacles[0].margin = 0.2).is_empty(), "it stands");
+        assert!(differences(|s| s.scale.metres_per_unit = 60.0).is_empty());
+        assert!(differences(|s| s.goal.x = f64::from(s.goal.x as f32)).is_empty(), "a parameter's width");
+    }
+
+    #[test]
+    fn every_key_of_the_faults_list_is_told_with_both_values() {
+        for (told, change) in [
+            (
+                "goal = [0.9, 0.5] in the policy, [0.85, 0.8] here",
+                (|s| s.goal = [0.85, 0.8].into()) as fn(&mut Scenario),
+            ),
+            ("start = [0.1, 0.5] in the policy, [0.1, 0.4] here", |s| s.start.y = 0.4),
+            ("obstacle[0].radius = 0.1 in the policy, 0.2 here", |s| s.obstacles[0].radius = 0.2),
+            ("channel.base_station = [0.5, 0.05] in the policy, [0.2, 0.9] here", |s| {
+                s.channel.base_station = [0.2, 0.9].into();
+            }),
+            ("SNR that a packet needs = 1.7411 at most in the policy, 3.0000 here", |s| s.radio.b_dt = 2.0),
+            ("gusts' standard deviation = 0.0015 at most in the policy, 0.0030 here", |s| {
+                s.disturbance.sigma_c = 0.01;
+            }),
+            ("channel.noise_power = 1.0 in the policy, 2.0 here", |s| s.channel.noise_power = 2.0),
+            ("dynamics.walls = true in the policy, false here", |s| s.dynamics.walls = false),
+            ("uav_radius = 0.02 in the policy, 0.03 here", |s| s.uav_radius = 0.03),
+        ] {
+            assert_eq!(differences(change), [told]);
+        }
+    }
+
+    #[test]
+    fn another_number_of_obstacles_is_told() {
+        let more = differences(|s| s.obstacles.push(crpl_sitl::scenario::Obstacle::default()));
+        assert!(more.contains(&"obstacle[1].radius = none in the policy, 0.1 here".to_owned()), "{more:?}");
+        let fewer = differences(|s| s.obstacles.clear());
+        assert!(fewer.contains(&"obstacle[0].radius = 0.1 in the policy, none here".to_owned()), "{fewer:?}");
+    }
+}
