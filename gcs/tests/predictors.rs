@@ -14,7 +14,8 @@ fn flown(kind: PredictorKind, controller: Controller) -> Station {
     let networks = Networks::embedded().expect("the shipped networks read");
     let world = WorldModel::embedded().expect("the shipped checkpoint reads");
     let world = world.with_predictor(kind, &networks).expect("they belong together");
-    let models = Models { world: Arc::new(world), policy: None };
+    let models =
+        Models { world: Arc::new(world), ..Models::load(None, None).expect("the shipped models read") };
     let scenario = Scenario::default();
     let mut station = models.station(controller, &scenario).expect("the shipped policies fit");
     lab::fly(&mut Sim::new(scenario.clone(), 2), &mut station, scenario.horizon);

@@ -21,7 +21,7 @@ use crpl_sitl::sim::record::Record;
 use crpl_sitl::{Scenario, Sim};
 
 use crate::station::Station;
-use crate::station::models::Models;
+use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::crpl::Crpl;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
@@ -44,13 +44,17 @@ pub struct Contender {
     scenario: Scenario,
     world: Arc<WorldModel>,
     pilot: Pilot,
+    policy: Option<PolicyOrigin>,
 }
 
 impl Contender {
     /// Loads what `controller` needs, once.
+    ///
+    /// # Errors
+    /// As [`Pilot::load`].
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
-        let pilot = Pilot::load(controller, models, scenario)?;
-        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot })
+        let (pilot, policy) = Pilot::load(controller, models, scenario)?;
+        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot, policy })
     }
 
     /// `crpl` with policies that are not on disk yet.
@@ -65,7 +69,14 @@ impl Contender {
                 world.scale,
                 MotionLimits::of(scenario),
             )),
+            policy: None,
         }
+    }
+
+    /// Where the policies come from; `None` for a controller without any, and for policies not on disk yet.
+    #[must_use]
+    pub fn policy(&self) -> Option<&PolicyOrigin> {
+        self.policy.as_ref()
     }
 
     /// What is flown.

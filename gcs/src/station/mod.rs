@@ -20,7 +20,7 @@ use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use crate::station::belief::Belief;
-use crate::station::models::Models;
+use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
 
@@ -34,12 +34,17 @@ pub struct Station {
     last: Option<(Telemetry, Command)>,
     records: Vec<Record>,
     missed: u64,
+    policy: Option<PolicyOrigin>,
 }
 
 impl Models {
     /// A station that flies `controller`.
+    ///
+    /// # Errors
+    /// As [`Pilot::load`].
     pub fn station(&self, controller: Controller, scenario: &Scenario) -> Result<Station> {
-        Ok(Station::new(scenario.clone(), self.world.clone(), Pilot::load(controller, self, scenario)?))
+        let (pilot, policy) = Pilot::load(controller, self, scenario)?;
+        Ok(Station { policy, ..Station::new(scenario.clone(), self.world.clone(), pilot) })
     }
 }
 
@@ -55,6 +60,7 @@ impl Station {
             last: None,
             records: Vec::new(),
             missed: 0,
+            policy: None,
         }
     }
 
@@ -119,6 +125,12 @@ impl Station {
     #[must_use]
     pub fn score(&self) -> Option<FlightScore> {
         FlightScore::of(&self.records, &self.scenario)
+    }
+
+    /// Where the controller's policies come from; `None` for a controller without any.
+    #[must_use]
+    pub fn policy(&self) -> Option<&PolicyOrigin> {
+        self.policy.as_ref()
     }
 
     /// The flight's parameters.

@@ -4,35 +4,102 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use crpl_model::planning::policy::Policies;
+use crpl_model::planning::policy::{Policies, SHIPPED};
+use crpl_model::planning::scope::{self, KeyDifference};
 use crpl_model::world_model::{WorldModel, checkpoint};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::COLOURS;
+use crpl_sitl::program::files::fingerprint;
+use serde::Serialize;
 
 /// The trained things that a station needs.
 #[derive(Debug, Clone)]
 pub struct Models {
-    /// The world model, which encodes every picture.
+    /// The world model, which encodes every frame.
     pub world: Arc<WorldModel>,
     /// A policy file instead of the shipped ones.
     pub policy: Option<PathBuf>,
+    /// What happens where no policy covers the scenario.
+    pub mismatch: MismatchRule,
+    /// Folder of policies that were optimised on this machine, named by [`Models::cache_name`].
+    pub cache: Option<PathBuf>,
+}
+
+/// What happens where a policy was optimised for another world than the scenario.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum MismatchRule {
+    /// An error that names the difference
+    #[default]
+    Refuse,
+    /// It flies, and every result says so
+    Allow,
+}
+
+/// What a controller does with the policies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PolicyUse {
+    /// It flies them: they must cover the scenario.
+    Fly,
+    /// It begins its own search with them: any will do, and the results say which.
+    Begin,
+}
+
+/// Where the policies of a flight come from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PolicyOrigin {
+    /// `built-in NAME` or the file.
+    pub source: String,
+    /// Fingerprint of its bytes.
+    pub fingerprint: String,
+    /// Where the scenario leaves the world that they were optimised for; empty if they cover it.
+    pub differences: Vec<KeyDifference>,
+}
+
+impl PolicyOrigin {
+    /// The differences in one line, at most three of them; `None` if the policies cover the scenario.
+    #[must_use]
+    pub fn mismatch(&self) -> Option<String> {
+        const SHOWN: usize = 3;
+        let all = &self.differences;
+        let shown = all.iter().take(SHOWN).map(ToString::to_string).collect::<Vec<_>>().join("; ");
+        match all.len() {
+            0 => None,
+            n if n > SHOWN => Some(format!("{shown}; and {} more keys", n - SHOWN)),
+            _ => Some(shown),
+        }
+    }
+}
+
+/// Policies, and where they come from.
+#[derive(Debug, Clone)]
+pub struct ChosenPolicies {
+    /// Both policies.
+    pub policies: Policies,
+    /// Where they come from.
+    pub origin: PolicyOrigin,
 }
 
 impl Models {
-    /// The shipped world model and policies, or those in `checkpoint` and `policy`.
+    /// The shipped world model and policies, or those in `checkpoint` and `policy`. Without a cache; a policy
+    /// of another world is refused.
+    ///
+    /// # Errors
+    /// No world model in the folder.
     pub fn load(checkpoint: Option<&Path>, policy: Option<PathBuf>) -> Result<Self> {
         let world = match checkpoint {
             Some(dir) => WorldModel::load(dir)?,
             None => WorldModel::embedded()?,
         };
-        Ok(Self { world: Arc::new(world), policy })
+        Ok(Self { world: Arc::new(world), policy, mismatch: MismatchRule::Refuse, cache: None })
     }
 
-    /// The policies for `scenario`, which must have been optimised in this world model's latents.
+    /// The policies for `scenario`: the file that was given, or the first of the shipped ones and of the
+    /// cache that covers it, or, where that is allowed, the one with the fewest differences.
     ///
     /// # Errors
-    /// No policy for the scenario, a file that does not read, or another world model.
-    pub fn policies(&self, scenario: &Scenario) -> Result<Policies> {
+    /// A file that does not read, policies of another world model, and where they must cover the scenario
+    /// none that does: with the differences.
+    pub fn policies(&self, scenario: &Scenario, purpose: PolicyUse) -> Result<ChosenPolicies> {
         let count = scenario.obstacles.len();
         if !(1..=COLOURS).contains(&count) {
             bail!(
@@ -41,31 +108,77 @@ impl Models {
                 scenario.name
             );
         }
-        let policies = self.read_policies(scenario)?;
+        let chosen = self.nearest(scenario)?;
         let here = checkpoint::fingerprint(&self.world)?;
-        if policies.world != here {
-            let name = self.policy.as_ref().map_or("the shipped policy".into(), |p| p.display().to_string());
+        let theirs = &chosen.policies.world;
+        if *theirs != here {
             bail!(
-                "{name} was optimised in world model {}, and this is {here}: run `gcs optimise` on it",
-                if policies.world.is_empty() { "(unnamed)" } else { &policies.world }
+                "the policies ({}) were optimised in world model {}, and this is {here}: run `gcs optimise` \
+                 on it",
+                chosen.origin.source,
+                if theirs.is_empty() { "(unnamed)" } else { theirs }
             );
         }
-        Ok(policies)
+        let refuse = purpose == PolicyUse::Fly && self.mismatch == MismatchRule::Refuse;
+        match chosen.origin.mismatch().filter(|_| refuse) {
+            None => Ok(chosen),
+            Some(difference) => bail!(
+                "no policy for scenario {:?}: {} was optimised for another world: {difference}; --optimise \
+                 makes a policy for this one, --policy-mismatch allow flies that of the other",
+                scenario.name,
+                chosen.origin.source
+            ),
+        }
     }
 
-    fn read_policies(&self, scenario: &Scenario) -> Result<Policies> {
+    /// Whether there are policies that cover `scenario`.
+    ///
+    /// # Errors
+    /// A file that does not read.
+    pub fn covers(&self, scenario: &Scenario) -> Result<bool> {
+        Ok(self.nearest(scenario)?.origin.differences.is_empty())
+    }
+
+    /// Name of the file in the cache of policies for `scenario` in this world model.
+    ///
+    /// # Errors
+    /// The world model has no fingerprint.
+    pub fn cache_name(&self, scenario: &Scenario) -> Result<String> {
+        let world = checkpoint::fingerprint(&self.world)?;
+        Ok(format!("{}-{world}.safetensors", scope::fingerprint(scenario)))
+    }
+
+    /// The given file; else the one with the fewest differences of the cache's and the shipped.
+    fn nearest(&self, scenario: &Scenario) -> Result<ChosenPolicies> {
+        let chosen = |source: String, bytes: &[u8]| -> Result<ChosenPolicies> {
+            let policies = Policies::from_bytes(bytes).map_err(|e| anyhow::anyhow!("{source}: {e}"))?;
+            let differences = match &policies.scope {
+                Some(scope) => scope.differences(scenario),
+                None => vec![KeyDifference {
+                    key: "scenario".into(),
+                    policy: "not stated".into(),
+                    here: format!("{:?}", scenario.name),
+                }],
+            };
+            let origin = PolicyOrigin { source, fingerprint: fingerprint(bytes), differences };
+            Ok(ChosenPolicies { policies, origin })
+        };
+        let read = |path: &Path| std::fs::read(path).with_context(|| format!("reading {}", path.display()));
         if let Some(path) = &self.policy {
-            return Ok(Policies::load(path)?);
+            return chosen(path.display().to_string(), &read(path)?);
         }
-        let number = scenario.number().with_context(|| {
-            let o = scenario.obstacle().position;
-            format!(
-                "no shipped policy for an obstacle at ({}, {}): train one with `gcs optimise \
-                 --scenario FILE` and give it by --policy",
-                o.x, o.y
-            )
-        })?;
-        Ok(Policies::shipped(number)?)
+        let mut all = Vec::new();
+        for (name, bytes) in SHIPPED {
+            all.push(chosen(format!("built-in {name}"), bytes)?);
+        }
+        if let Some(dir) = &self.cache {
+            let path = dir.join(self.cache_name(scenario)?);
+            if path.exists() {
+                all.push(chosen(path.display().to_string(), &read(&path)?)?);
+            }
+        }
+        let nearest = all.into_iter().min_by_key(|c| c.origin.differences.len());
+        nearest.context("no policy ships with this program")
     }
 }
 
@@ -78,6 +191,18 @@ pub struct ModelFiles {
     /// File of CRPL's policies [default: the built-in ones]
     #[arg(long, value_name = "FILE")]
     pub policy: Option<PathBuf>,
+    /// What to do with a policy that was optimised for another world than the scenario
+    #[arg(long, value_enum, value_name = "RULE", default_value = "refuse")]
+    pub policy_mismatch: MismatchRule,
+}
+
+/// Folder of the policies that were optimised on this machine: $CRPL_CACHE, $XDG_CACHE_HOME/crpl or
+/// ~/.cache/crpl; `None` where none of them is set.
+#[must_use]
+pub fn cache_folder() -> Option<PathBuf> {
+    let named = |key: &str| std::env::var_os(key).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let xdg = || named("XDG_CACHE_HOME").map(|dir| dir.join("crpl"));
+    named("CRPL_CACHE").or_else(xdg).or_else(|| named("HOME").map(|dir| dir.join(".cache/crpl")))
 }
 
 impl ModelFiles {
@@ -86,6 +211,7 @@ impl ModelFiles {
     /// # Errors
     /// No world model in the folder.
     pub fn load(&self) -> Result<Models> {
-        Models::load(self.checkpoint.as_deref(), self.policy.clone())
+        let models = Models::load(self.checkpoint.as_deref(), self.policy.clone())?;
+        Ok(Models { mismatch: self.policy_mismatch, cache: cache_folder(), ..models })
     }
 }

@@ -6,6 +6,7 @@
 use std::fmt;
 
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files;
 use crpl_sitl::world::channel;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -99,6 +100,27 @@ impl PolicyScope {
 pub fn required_snr(scenario: &Scenario) -> f64 {
     let rate = channel::outage_snr(scenario.radio.b_dt, scenario.radio.packet_bits);
     scenario.channel.snr_min.max(rate.0)
+}
+
+/// Names the world that a policy for this scenario is optimised for: equal for scenarios that differ in
+/// nothing that matters to it.
+#[must_use]
+pub fn fingerprint(scenario: &Scenario) -> String {
+    let mut text = String::new();
+    for (key, value) in leaves(scenario) {
+        text += &format!("{key} = {};", narrow(&value));
+    }
+    text += &format!("{} {}", required_snr(scenario) as f32, scenario.disturbance.kick() as f32);
+    files::fingerprint(text.as_bytes())
+}
+
+/// A value with the width that parameters have on the wire.
+fn narrow(value: &Value) -> String {
+    match value {
+        Value::Array(list) => list.iter().map(narrow).collect::<Vec<_>>().join(","),
+        Value::Number(number) => number.as_f64().map_or_else(String::new, |x| (x as f32).to_string()),
+        value => value.to_string(),
+    }
 }
 
 /// Dotted keys and values of all that matters to a policy.

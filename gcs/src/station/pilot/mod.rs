@@ -32,7 +32,7 @@ use crpl_sitl::units::{Motion, Scale, TxPower};
 use serde::{Deserialize, Serialize};
 
 use crate::station::belief::Belief;
-use crate::station::models::Models;
+use crate::station::models::{ChosenPolicies, Models, PolicyOrigin, PolicyUse};
 use crate::station::seen::{Heard, MotionLimits, RadioConstants};
 use reactive::Present;
 
@@ -54,6 +54,14 @@ pub enum Controller {
     Rcc,
     /// Unconstrained communication control, from present telemetry
     Ucc,
+}
+
+impl Controller {
+    /// Whether it flies optimised policies, which must cover the scenario.
+    #[must_use]
+    pub fn flies_policies(self) -> bool {
+        matches!(self, Self::Crpl | Self::CrplBw | Self::CrplExactLatents)
+    }
 }
 
 impl std::fmt::Display for Controller {
@@ -82,25 +90,34 @@ pub enum Pilot {
 }
 
 impl Pilot {
-    /// A controller for `scenario`. Here the scenario is taken apart: each controller keeps only what its
-    /// constructor names.
+    /// A controller for `scenario`, and where its policies come from, if it has any. Here the scenario is
+    /// taken apart: each controller keeps only what its constructor names.
     ///
     /// # Errors
-    /// Policies that are missing, or made in another world model.
-    pub fn load(controller: Controller, models: &Models, scenario: &Scenario) -> Result<Self> {
+    /// Policies that are missing, or made in another world model or for another world.
+    pub fn load(
+        controller: Controller,
+        models: &Models,
+        scenario: &Scenario,
+    ) -> Result<(Self, Option<PolicyOrigin>)> {
         let (limits, radio) = (MotionLimits::of(scenario), RadioConstants::of(scenario));
-        let crpl = || -> Result<_> {
-            Ok(crpl::Crpl::new(Arc::new(models.policies(scenario)?), models.world.scale, limits))
+        let mut origin = None;
+        let mut crpl = || -> Result<_> {
+            let chosen = models.policies(scenario, PolicyUse::Fly)?;
+            origin = Some(chosen.origin);
+            Ok(crpl::Crpl::new(Arc::new(chosen.policies), models.world.scale, limits))
         };
         let power = || {
             let heads = models.world.station_heads(scenario.channel.base_station);
             crpl_bw::MatchedPower::new(Arc::new(heads), radio)
         };
-        Ok(match controller {
+        let pilot = match controller {
             Controller::Crpl => Self::Crpl(crpl()?),
             Controller::CrplBw => Self::CrplBw(crpl_bw::CrplBw::new(crpl()?, power())),
             Controller::CrplRh => {
-                let policies = models.policies(scenario)?;
+                let ChosenPolicies { policies, origin: from } =
+                    models.policies(scenario, PolicyUse::Begin)?;
+                origin = Some(from);
                 let receding = crpl_rh::receding(models, scenario, &policies)?;
                 let (scale, horizon) = (models.world.scale, scenario.horizon);
                 let crpl = crpl_rh::CrplRh::new(receding, policies, power(), scale, limits, horizon);
@@ -113,7 +130,8 @@ impl Pilot {
             Controller::Apc => Self::Apc(Box::new(apc::Apc::new(scenario))),
             Controller::Rcc => Self::Rcc(rcc::Rcc::new(reactive::Task::of(scenario))),
             Controller::Ucc => Self::Ucc(ucc::Ucc::new(reactive::Task::of(scenario))),
-        })
+        };
+        Ok((pilot, origin))
     }
 
     /// Motion and power for the interval that begins. The only place that hands out information: `belief`
