@@ -210,7 +210,7 @@ mod tests {
             ("channel.base_station = [0.5, 0.05] in the policy, [0.2, 0.9] here", |s| {
                 s.channel.base_station = [0.2, 0.9].into();
             }),
-            ("SNR that a packet needs = 1.7411 at most in the policy, 3.0000 here", |s| s.radio.b_dt = 2.0),
+            ("SNR that a packet needs = 1.7407 at most in the policy, 3.0000 here", |s| s.radio.b_dt = 2.0),
             ("gusts' standard deviation = 0.0015 at most in the policy, 0.0030 here", |s| {
                 s.disturbance.sigma_c = 0.01;
             }),
