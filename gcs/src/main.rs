@@ -12,7 +12,7 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::RunFolder;
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{check, episodes, optimise, report};
+use crpl_gcs::lab::{check, episodes, optimise, policies, report};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::{bridge, mission, param, replay};
@@ -160,7 +160,8 @@ impl VehicleKind {
 
 async fn demo(args: Demo) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
-    let models = args.models.load()?;
+    let mut models = args.models.load()?;
+    policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let mut flights = Vec::new();
     for controller in args.controller {
         let flight = DemoFlight {
@@ -187,7 +188,9 @@ async fn fly(args: Fly) -> Result<()> {
     let foreign = args.vehicle.foreign();
     let preset = if foreign.is_some() { "foreign" } else { "2" };
     let scenario = Scenario::named(args.scenario.as_deref().unwrap_or(preset))?;
-    let mut station = args.models.load()?.station(args.controller, &scenario)?;
+    let mut models = args.models.load()?;
+    policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?;
+    let mut station = models.station(args.controller, &scenario)?;
     let folder = RunFolder::begin(&args.out, &scenario)?;
     let options = Options {
         ticks: Some(args.ticks.unwrap_or(scenario.horizon)),

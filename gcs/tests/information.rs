@@ -70,7 +70,7 @@ fn same_commands(
     blind: impl Fn(&Percept) -> Percept,
 ) -> Result<(), u64> {
     let models = Models::load(None, None).expect("the shipped models read");
-    let pilot = Pilot::load(controller, &models, &scenario()).expect("the shipped policies fit");
+    let (pilot, _) = Pilot::load(controller, &models, &scenario()).expect("the shipped policies fit");
     let mut sighted = Station::new(scenario(), models.world.clone(), pilot.clone());
     let mut blinded = Station::new(other, models.world, pilot);
     let mut sim = Sim::new(scenario(), 3);

@@ -9,8 +9,8 @@ use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::lab::Contender;
-use crate::station::models::ModelFiles;
+use crate::lab::{Contender, policies};
+use crate::station::models::{ModelFiles, PolicyOrigin};
 use crate::station::pilot::Controller;
 use crpl_model::numeric::statistics::Mean;
 
@@ -57,12 +57,16 @@ pub struct EpisodesRow {
     pub metrics: PerMetric<Mean>,
     /// Share of flights that pass below the obstacle (smaller y at its x).
     pub below: f64,
+    /// Where the controller's policies come from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<PolicyOrigin>,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Episodes) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
-    let models = args.models.load()?;
+    let mut models = args.models.load()?;
+    policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let bar = progress::bar("flights", args.episodes * args.controller.len() as u64);
     for controller in &args.controller {
         let contender = Contender::new(&models, *controller, &scenario)?;
@@ -74,7 +78,10 @@ pub fn run(args: &Episodes) -> Result<()> {
                 scored
             })
             .collect::<Result<_>>()?;
-        let row = row(*controller, &scenario, args.first_seed, &flights);
+        let row = EpisodesRow {
+            policy: contender.policy().cloned(),
+            ..row(*controller, &scenario, args.first_seed, &flights)
+        };
         bar.suspend(|| show(&row, args.json))?;
     }
     bar.finish_and_clear();
@@ -94,6 +101,7 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
         at_wall: count(FlightOutcome::AtWall),
         metrics: PerMetric::from_fn(mean),
         below: share(FlightOutcome::Below),
+        policy: None,
     }
 }
 
@@ -107,6 +115,9 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     println!("  reached {:.3}, at a wall {}, below the obstacle {:.3}", row.reached, row.at_wall, row.below);
     for (metric, mean) in row.metrics.iter() {
         println!("  {:<8}{}", metric.symbol(), cell(mean));
+    }
+    if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
+        println!("  policy of another world: {mismatch}");
     }
     Ok(())
 }

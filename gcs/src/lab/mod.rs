@@ -6,6 +6,7 @@ pub mod episodes;
 pub mod figures;
 pub mod optimise;
 pub mod parquet;
+pub mod policies;
 pub mod report;
 pub mod run_folder;
 pub mod summary;

@@ -11,6 +11,7 @@ use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::{ObjectiveEstimate, RolloutLimits};
 use crpl_model::planning::policy::Policies;
 use crpl_model::planning::problem::PlanningProblem;
+use crpl_model::planning::scope::PolicyScope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
@@ -63,9 +64,44 @@ struct Saved {
     progress: Option<OptimiseProgress>,
 }
 
+/// What [`optimise_for`] made.
+#[derive(Debug, Clone)]
+pub struct Optimised {
+    /// The pair, with its scope.
+    pub policies: Policies,
+    /// What Algorithm 1 says of it.
+    pub outcome: OptimiseOutcome,
+    /// Both chance constraints as closed-loop flights measure them.
+    pub flown: ConstraintCheck,
+    /// Time that it took, s.
+    pub wall_s: f64,
+}
+
+/// Algorithm 1 for a scenario, and the closed-loop check of what it found; nothing is written.
+///
+/// # Errors
+/// A scenario that Algorithm 1 cannot plan for. A result that breaks a constraint is no error here: see
+/// [`ConstraintCheck::verdict`].
+pub fn optimise_for(
+    world: &Arc<WorldModel>,
+    scenario: &Scenario,
+    config: &OptimiseConfig,
+    seed: u64,
+    watch: &mut dyn OptimiseWatch,
+) -> Result<Optimised> {
+    config.check()?;
+    one_obstacle(scenario)?;
+    let stopwatch = Stopwatch::default();
+    let problem = PlanningProblem::of(world, scenario, config, seed)?;
+    let (mut policies, outcome) = optimise(&problem, config, seed, None, watch)?;
+    let flown = check::after(config, world, &policies, scenario)?;
+    policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
+    Ok(Optimised { policies, outcome, flown, wall_s: stopwatch.seconds().0 })
+}
+
 /// What stands beside the policies.
 #[derive(Debug, Serialize)]
-struct PolicyManifest<'a> {
+pub struct PolicyManifest<'a> {
     scenario: &'a Scenario,
     seed: u64,
     revision: &'static str,
@@ -73,6 +109,15 @@ struct PolicyManifest<'a> {
     outcome: &'a OptimiseOutcome,
     /// Both chance constraints as closed-loop flights measure them.
     flown: &'a ConstraintCheck,
+}
+
+impl<'a> PolicyManifest<'a> {
+    /// That of a finished optimisation.
+    #[must_use]
+    pub fn of(scenario: &'a Scenario, seed: u64, config: &'a OptimiseConfig, made: &'a Optimised) -> Self {
+        let Optimised { outcome, flown, .. } = made;
+        Self { scenario, seed, revision: crate::revision(), config, outcome, flown }
+    }
 }
 
 /// Runs the subcommand.
@@ -107,9 +152,10 @@ pub fn run(args: &Optimise) -> Result<()> {
     let stopwatch = Stopwatch::default();
     let problem = PlanningProblem::of(&world, &scenario, &config, args.seed)?;
     let mut show = Show::new(&config, saved.clone(), run, begun.as_ref());
-    let (policies, outcome) = optimise(&problem, &config, args.seed, begun, &mut show)?;
+    let (mut policies, outcome) = optimise(&problem, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
     let flown = check::after(&config, &world, &policies, &scenario)?;
+    policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
     let kept = if flown.holds() { name } else { format!("{name}.rejected") };
     write(
         &args.out,
@@ -218,10 +264,9 @@ fn write(out: &Path, name: &str, policies: &Policies, manifest: &PolicyManifest<
 }
 
 /// OptimiseProgress bar, log of the phases, saved progress.
-struct Show {
+pub struct Show {
     bar: ProgressBar,
-    saved: PathBuf,
-    run: Saved,
+    saved: Option<(PathBuf, Saved)>,
     last: Option<(ObjectiveEstimate, f64)>,
 }
 
@@ -229,7 +274,14 @@ impl Show {
     fn new(config: &OptimiseConfig, saved: PathBuf, run: Saved, begun: Option<&OptimiseProgress>) -> Self {
         let bar = progress::bar("iterations", algorithm1::total_iterations(config) as u64);
         bar.set_position(begun.map_or(0, |p| p.iterations(config)) as u64);
-        Self { bar, saved, run, last: None }
+        Self { bar, saved: Some((saved, run)), last: None }
+    }
+
+    /// A progress bar alone, for a run that is not resumed.
+    #[must_use]
+    pub fn unsaved(config: &OptimiseConfig) -> Self {
+        let bar = progress::bar("optimising policies", algorithm1::total_iterations(config) as u64);
+        Self { bar, saved: None, last: None }
     }
 }
 
@@ -259,10 +311,11 @@ impl OptimiseWatch for Show {
                 );
             });
         }
-        let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", self.saved.display()));
-        self.run.progress = Some(progress.clone());
-        let text = serde_json::to_string(&self.run).map_err(|e| failed(e.to_string()))?;
-        write_whole(&self.saved, text.as_bytes()).map_err(|e| failed(e.to_string()))
+        let Some((path, run)) = &mut self.saved else { return Ok(()) };
+        run.progress = Some(progress.clone());
+        let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", path.display()));
+        let text = serde_json::to_string(run).map_err(|e| failed(e.to_string()))?;
+        write_whole(path, text.as_bytes()).map_err(|e| failed(e.to_string()))
     }
 
     fn compared(&mut self, c: &Comparison) {

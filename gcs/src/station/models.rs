@@ -194,6 +194,9 @@ pub struct ModelFiles {
     /// What to do with a policy that was optimised for another world than the scenario
     #[arg(long, value_enum, value_name = "RULE", default_value = "refuse")]
     pub policy_mismatch: MismatchRule,
+    /// Optimise policies for a scenario that no policy covers, once, and keep them in the cache
+    #[arg(long, conflicts_with = "policy_mismatch")]
+    pub optimise: bool,
 }
 
 /// Folder of the policies that were optimised on this machine: $CRPL_CACHE, $XDG_CACHE_HOME/crpl or

@@ -11,16 +11,26 @@ use nalgebra::Vector2;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::{Deserialize, Serialize};
 
 use crate::numeric::kernel;
 use crate::numeric::mlp::{Dense, Mlp};
 use crate::planning::scope::PolicyScope;
 
-/// Key of the world model's fingerprint in a policy file's metadata.
+/// Key of [`About`] in a policy file's metadata, as JSON.
+const ABOUT: &str = "policy";
+
+/// Key of the world model's fingerprint in files that say nothing else.
 const WORLD: &str = "world_model";
 
-/// Key of the [`PolicyScope`] in a policy file's metadata, as JSON.
-const SCOPE: &str = "scope";
+/// What a policy file says of itself.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct About {
+    /// Fingerprint of the world model.
+    world_model: String,
+    /// The world that the policies were optimised for.
+    scope: Option<PolicyScope>,
+}
 
 /// Number of inputs of each policy.
 pub const FEATURES: usize = 6;
@@ -156,11 +166,21 @@ impl Policies {
         (Motion::nearest(self.mean_motion(x)), power)
     }
 
-    /// Writes both networks as `motion.N.weight`, `motion.N.bias`, `power.…` (weights `[in, out]`).
+    /// Writes the bytes of [`Policies::to_bytes`].
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let bytes = self.to_bytes().map_err(|message| PolicyError::Content { path: path.into(), message })?;
+        std::fs::write(path, bytes).map_err(|source| PolicyError::Io { path: path.into(), source })
+    }
+
+    /// Both networks as a safetensors file: `motion.N.weight`, `motion.N.bias`, `power.…` (weights
+    /// `[in, out]`), with the world model and the scope in its metadata.
+    ///
+    /// # Errors
+    /// Networks whose sizes contradict their layers.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
         let mut bytes: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
         let raw = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         for (name, net) in [("motion", &self.motion), ("power", &self.power)] {
@@ -170,21 +190,18 @@ impl Policies {
                 bytes.push((format!("{name}.{n}.bias"), vec![layer.outputs], raw(&layer.b)));
             }
         }
-        let content = |message: String| PolicyError::Content { path: path.into(), message };
         let views = bytes
             .iter()
             .map(|(name, shape, data)| {
                 TensorView::new(Dtype::F32, shape.clone(), data).map(|view| (name.clone(), view))
             })
             .collect::<Result<Vec<_>, _>>()
-            .map_err(|e| content(e.to_string()))?;
-        let mut metadata = HashMap::from([(WORLD.to_owned(), self.world.clone())]);
-        if let Some(scope) = &self.scope {
-            let scope = serde_json::to_string(scope).map_err(|e| content(e.to_string()))?;
-            metadata.insert(SCOPE.to_owned(), scope);
-        }
-        let file = safetensors::serialize(views, Some(metadata)).map_err(|e| content(e.to_string()))?;
-        std::fs::write(path, file).map_err(|source| PolicyError::Io { path: path.into(), source })
+            .map_err(|e| e.to_string())?;
+        // One key, so that equal policies are equal bytes: a map of several has no order.
+        let about = About { world_model: self.world.clone(), scope: self.scope.clone() };
+        let about = serde_json::to_string(&about).map_err(|e| e.to_string())?;
+        let metadata = HashMap::from([(ABOUT.to_owned(), about)]);
+        safetensors::serialize(views, Some(metadata)).map_err(|e| e.to_string())
     }
 
     /// Reads what [`Policies::save`] wrote.
@@ -230,14 +247,15 @@ impl Policies {
         let (_, header) =
             SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
         let metadata = |key: &str| header.metadata().as_ref().and_then(|m| m.get(key));
-        let scope = metadata(SCOPE)
-            .map(|text| serde_json::from_str(text).map_err(|e| format!("metadata `{SCOPE}`: {e}")))
-            .transpose()?;
+        let about = match (metadata(ABOUT), metadata(WORLD)) {
+            (Some(text), _) => serde_json::from_str(text).map_err(|e| format!("metadata `{ABOUT}`: {e}"))?,
+            (None, world) => About { world_model: world.cloned().unwrap_or_default(), scope: None },
+        };
         Ok(Self {
             motion: net("motion", &MOTION_WIDTHS)?,
             power: net("power", &POWER_WIDTHS)?,
-            world: metadata(WORLD).cloned().unwrap_or_default(),
-            scope,
+            world: about.world_model,
+            scope: about.scope,
         })
     }
 }

@@ -105,10 +105,10 @@ pub fn run(args: &Report) -> Result<()> {
         finished.show(&mut page, &out, "")?;
         print!("{}", finished.text());
     } else {
-        let models = Models::load(args.checkpoint.as_deref(), None)?;
+        let mut models = Models::load(args.checkpoint.as_deref(), None)?;
         scenarios(&mut page, &out, &models, args.controller.as_deref())?;
         if args.what == "all" {
-            all_sweeps(&mut page, &out, &models, args)?;
+            all_sweeps(&mut page, &out, &mut models, args)?;
         }
     }
     page.text(&format!("Made by gcs {} at revision {}.", env!("CARGO_PKG_VERSION"), crate::revision()));
@@ -135,7 +135,7 @@ fn scenarios(page: &mut Page, out: &Path, models: &Models, controllers: Option<&
     Ok(())
 }
 
-fn all_sweeps(page: &mut Page, out: &Path, models: &Models, args: &Report) -> Result<()> {
+fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<()> {
     let flags =
         Overrides { episodes: args.episodes, controllers: args.controller.clone(), ..Overrides::default() };
     for (file, text, words) in SWEEPS {

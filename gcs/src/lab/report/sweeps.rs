@@ -157,7 +157,13 @@ impl Finished {
         let curves = plan.controllers.iter().enumerate().map(curve);
         Chart {
             title: format!("{}, {}", metric.symbol(), metric.title()),
-            x: plan.axis.clone(),
+            x: match plan.uncovered.as_slice() {
+                [] => plan.axis.clone(),
+                points => {
+                    let at: Vec<String> = points.iter().map(|point| point.x.to_string()).collect();
+                    format!("{} (crpl outside its policy's world at {})", plan.axis, at.join(", "))
+                }
+            },
             series: curves.chain(marks).collect(),
             legend: if metric == Metric::ALL[0] { Legend::UpperRight } else { Legend::None },
             panel: true,
@@ -177,6 +183,9 @@ impl Finished {
         ));
         if !words.is_empty() {
             page.text(words);
+        }
+        if !plan.uncovered.is_empty() {
+            page.text(table::uncovered(plan).trim());
         }
         page.claims(&self.claims());
         let key = |(n, c): (usize, &Controller)| (c.to_string(), rgb(n));
@@ -198,7 +207,7 @@ impl Finished {
             let path = dir.join(name);
             std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
         };
-        write(format!("{}.csv", plan.name), table::csv(&self.rows))?;
+        write(format!("{}.csv", plan.name), table::csv(plan, &self.rows))?;
         write(format!("{}.txt", plan.name), table::text(plan, &self.rows))
     }
 

@@ -115,7 +115,7 @@ impl Folder {
     /// Writes the results; `episodes.csv` comes last, and says that all is there.
     pub fn finish(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
         let episodes = self.in_order(episodes)?;
-        self.write("points.csv", table::csv(&table::rows(&self.plan, &episodes)).as_bytes())?;
+        self.write("points.csv", table::csv(&self.plan, &table::rows(&self.plan, &episodes)).as_bytes())?;
         let names: Vec<String> = episodes.iter().map(|e| e.controller.to_string()).collect();
         let mut bytes = Vec::new();
         let manifest = self.manifest()?;
@@ -194,13 +194,13 @@ impl Folder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::sweep::plan::{Overrides, SweepFile};
+    use crate::lab::sweep::plan::{Overrides, SweepFile, Trained};
 
     #[test]
     fn a_sweep_goes_on_at_another_revision_of_the_same_code_only() {
         let file = "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5]\ncontrollers = [\"rcc\"]\n";
         let file = SweepFile::parse(file).unwrap();
-        let plan = file.resolve(&Overrides::default(), "w".into(), "p".into()).unwrap();
+        let plan = file.resolve(&Overrides::default(), |_| Ok(Trained::default())).unwrap();
         let dir = tempfile::tempdir().unwrap();
         let begin = |plan: &SweepPlan| Folder::begin(dir.path(), plan.clone(), Shard::WHOLE);
         begin(&plan).unwrap();

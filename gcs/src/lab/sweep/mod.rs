@@ -28,19 +28,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
-use crpl_model::planning::policy::SHIPPED;
 use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::files::fingerprint;
 use crpl_sitl::program::{progress, terminal};
 use rayon::prelude::*;
 
-use crate::lab::Contender;
-use crate::station::models::{ModelFiles, Models};
+use crate::lab::{Contender, policies};
+use crate::station::models::{MismatchRule, ModelFiles, Models, PolicyUse};
 use crate::station::pilot::Controller;
 use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
-use plan::{Overrides, Shard, SweepFile, SweepPlan};
+use plan::{Overrides, Shard, SweepFile, SweepPlan, SweepPolicies, Trained, UncoveredPoint};
 use table::TableRow;
 
 /// Flags of `gcs sweep`.
@@ -83,27 +82,52 @@ pub fn run(args: &Sweep) -> Result<()> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
         pool.build_global().context("starting the threads")?;
     }
-    let models = args.models.load()?;
+    let mut models = args.models.load()?;
     let flags = Overrides {
         points: args.points.clone(),
         episodes: args.episodes,
         first_seed: args.first_seed,
         controllers: args.controller.clone(),
+        policies: match (args.models.optimise, args.models.policy_mismatch) {
+            (true, _) => Some(SweepPolicies::Optimised),
+            (_, MismatchRule::Allow) => Some(SweepPolicies::Fixed),
+            _ => None,
+        },
     };
-    let plan = resolve(SweepFile::load(&args.config)?, &flags, &models)?;
+    let plan = resolve(SweepFile::load(&args.config)?, &flags, &mut models)?;
     let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
     let folder = Folder::begin(&dir, plan, args.shard)?;
     let episodes = complete(&folder, &models)?;
     show(&folder, &episodes, args.json)
 }
 
-/// The plan of a file, with the trained things that will fly it.
-pub fn resolve(file: SweepFile, flags: &Overrides, models: &Models) -> Result<SweepPlan> {
-    let policy = match &models.policy {
-        Some(path) => std::fs::read(path).with_context(|| format!("reading {}", path.display()))?,
-        None => SHIPPED.map(|(_, bytes)| bytes).concat(),
-    };
-    file.resolve(flags, checkpoint::fingerprint(&models.world)?, fingerprint(&policy))
+/// The plan of a file, with the trained things that will fly it; `models` will know the policies of all
+/// points.
+///
+/// # Errors
+/// As [`SweepFile::resolve`]; a point without policies.
+pub fn resolve(file: SweepFile, flags: &Overrides, models: &mut Models) -> Result<SweepPlan> {
+    file.resolve(flags, |plan| {
+        if plan.policies == SweepPolicies::Fixed {
+            models.mismatch = MismatchRule::Allow;
+        }
+        let fly_policies = plan.controllers.iter().any(|c| c.flies_policies());
+        let begin_with_them = plan.controllers.contains(&Controller::CrplRh);
+        let (mut all, mut uncovered) = (String::new(), Vec::new());
+        for x in plan.points.iter().filter(|_| fly_policies || begin_with_them) {
+            let scenario = plan.scenario_at(*x)?;
+            let at = || format!("{} = {x}", plan.axis);
+            let optimise = plan.policies == SweepPolicies::Optimised;
+            policies::cover(models, &plan.controllers, &scenario, optimise).with_context(at)?;
+            let origin = models.policies(&scenario, PolicyUse::Begin).with_context(at)?.origin;
+            all += &origin.fingerprint;
+            if let Some(mismatch) = origin.mismatch().filter(|_| fly_policies) {
+                uncovered.push(UncoveredPoint { x: *x, policy: origin.source, mismatch });
+            }
+        }
+        let policy = fingerprint(all.as_bytes());
+        Ok(Trained { world_model: checkpoint::fingerprint(&models.world)?, policy, uncovered })
+    })
 }
 
 fn default_folder(name: &str, shard: Shard) -> PathBuf {

@@ -33,9 +33,48 @@ pub struct SweepFile {
     /// The first of so many consecutive seeds.
     #[serde(default = "default_first_seed")]
     first_seed: u64,
+    /// Which policies fly where the axis changes the world that they were optimised for.
+    #[serde(default)]
+    policies: SweepPolicies,
     /// What differs from the paper's scenario at every point.
     #[serde(default)]
     scenario: toml::Table,
+}
+
+/// Which policies the crpl controllers of a sweep fly.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SweepPolicies {
+    /// Those that cover the point's scenario; a point without any is an error.
+    #[default]
+    Covering,
+    /// The same, and Algorithm 1 runs for a point without any.
+    Optimised,
+    /// The nearest ones, at every point; the results say where the point lies outside their world.
+    Fixed,
+}
+
+/// A point whose scenario the policies do not cover.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UncoveredPoint {
+    /// Value of the axis.
+    pub x: f64,
+    /// Which policies fly there.
+    pub policy: String,
+    /// Where the scenario leaves their world.
+    pub mismatch: String,
+}
+
+/// What flies a plan: fingerprints, and the points that the policies do not cover.
+#[derive(Debug, Clone, Default)]
+pub struct Trained {
+    /// Fingerprint of the world model.
+    pub world_model: String,
+    /// Fingerprint of the policies of all points.
+    pub policy: String,
+    /// Points outside the policies' world.
+    pub uncovered: Vec<UncoveredPoint>,
 }
 
 /// Flights per point and controller where neither file nor flag says.
@@ -59,6 +98,8 @@ pub struct Overrides {
     pub first_seed: Option<u64>,
     /// Others fly.
     pub controllers: Option<Vec<Controller>>,
+    /// Another choice of policies.
+    pub policies: Option<SweepPolicies>,
 }
 
 /// A resolved sweep: equal plans give equal bytes.
@@ -79,8 +120,13 @@ pub struct SweepPlan {
     pub first_seed: u64,
     /// Fingerprint of the world model that encodes the pictures.
     pub world_model: String,
-    /// Fingerprint of the policies: the file given by --policy, or those that ship.
+    /// Fingerprint of the policies of all points.
     pub policy: String,
+    /// Which policies fly.
+    pub policies: SweepPolicies,
+    /// Points outside the policies' world: only where that is allowed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub uncovered: Vec<UncoveredPoint>,
     /// Name of the code that flies ([`crate::sources`]).
     pub code: String,
     /// The whole scenario; `axis` takes the points' values.
@@ -99,22 +145,34 @@ impl SweepFile {
         Ok(toml::from_str(text)?)
     }
 
-    /// Puts in what the flags say, and checks that every point is a scenario.
-    pub fn resolve(self, flags: &Overrides, world_model: String, policy: String) -> Result<SweepPlan> {
+    /// Puts in what the flags say, and checks that every point is a scenario. `trained` gives what flies
+    /// the plan, which has no trained parts yet when it is asked.
+    ///
+    /// # Errors
+    /// A point that is no scenario, an empty or repeated list, and the errors of `trained`.
+    pub fn resolve(
+        self,
+        flags: &Overrides,
+        trained: impl FnOnce(&SweepPlan) -> Result<Trained>,
+    ) -> Result<SweepPlan> {
         let scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
-        let plan = SweepPlan {
+        let mut plan = SweepPlan {
             name: self.name,
             axis: self.axis,
             points: flags.points.clone().unwrap_or(self.points),
             controllers: flags.controllers.clone().unwrap_or(self.controllers),
             episodes: flags.episodes.unwrap_or(self.episodes),
             first_seed: flags.first_seed.unwrap_or(self.first_seed),
-            world_model,
-            policy,
+            world_model: String::new(),
+            policy: String::new(),
+            policies: flags.policies.unwrap_or(self.policies),
+            uncovered: Vec::new(),
             code: crate::sources().into(),
             scenario,
         };
         plan.check()?;
+        let Trained { world_model, policy, uncovered } = trained(&plan)?;
+        (plan.world_model, plan.policy, plan.uncovered) = (world_model, policy, uncovered);
         Ok(plan)
     }
 }
@@ -262,7 +320,7 @@ mod tests {
         "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
 
     fn plan(text: &str) -> Result<SweepPlan> {
-        SweepFile::parse(text)?.resolve(&Overrides::default(), "w".into(), "shipped".into())
+        SweepFile::parse(text)?.resolve(&Overrides::default(), |_| Ok(Trained::default()))
     }
 
     fn error(text: &str) -> String {

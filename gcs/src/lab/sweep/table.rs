@@ -7,7 +7,7 @@ use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
 use super::episode::SweepEpisode;
-use super::plan::SweepPlan;
+use super::plan::{SweepPlan, UncoveredPoint};
 use crate::station::pilot::Controller;
 use crpl_model::numeric::statistics::{Mean, Resamples};
 
@@ -94,10 +94,11 @@ fn row(
     }
 }
 
-/// The rows as comma-separated values, all digits.
+/// The rows as comma-separated values, all digits. `policy_covers` is empty for a controller without
+/// policies.
 #[must_use]
-pub fn csv(rows: &[TableRow]) -> String {
-    let mut text = String::from("sweep,x,controller,episodes");
+pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
+    let mut text = String::from("sweep,x,controller,episodes,policy_covers");
     FlightOutcome::ALL.iter().for_each(|outcome| text.extend([",", outcome.key()]));
     for m in Metric::ALL.map(Metric::key) {
         let _ = write!(text, ",{m}_mean,{m}_sd,{m}_lo,{m}_hi,{m}_ratio,{m}_ratio_lo,{m}_ratio_hi");
@@ -105,7 +106,11 @@ pub fn csv(rows: &[TableRow]) -> String {
     text.push('\n');
     for row in rows {
         let TableRow { sweep, x, controller, episodes, .. } = row;
-        let _ = write!(text, "{sweep},{x},{controller},{episodes}");
+        let covered = match controller.flies_policies() {
+            true => plan.uncovered.iter().all(|point| point.x != *x).to_string(),
+            false => String::new(),
+        };
+        let _ = write!(text, "{sweep},{x},{controller},{episodes},{covered}");
         row.shares.iter().for_each(|share| text += &format!(",{share}"));
         for (m, Mean { mean, ci, sd }) in row.means.iter() {
             let _ = write!(text, ",{mean},{sd},{},{}", ci[0], ci[1]);
@@ -180,6 +185,21 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
             let _ = write!(out, "{:>22}", ratio_cell(ratio));
         }
         out.push('\n');
+    }
+    out + &uncovered(plan)
+}
+
+/// A line for each point at which the crpl controllers fly policies of another world.
+#[must_use]
+pub fn uncovered(plan: &SweepPlan) -> String {
+    let mut out = String::new();
+    for point in &plan.uncovered {
+        let UncoveredPoint { x, policy, mismatch } = point;
+        let _ = writeln!(
+            out,
+            "\nat {} = {x} crpl flies policies of another world ({policy}): {mismatch}",
+            plan.axis
+        );
     }
     out
 }
