@@ -104,9 +104,15 @@ pub struct Program {
 
 impl Program {
     /// Starts a program of the workspace in `folder`, or in the workspace's root.
+    ///
+    /// It finds no cache of policies unless it makes one.
+    ///
+    /// # Errors
+    /// The programs cannot be built or started.
     pub fn start<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A], folder: Option<&Path>) -> Result<Self> {
         let mut command = Command::new(path(name)?);
         command.args(args).current_dir(folder.unwrap_or_else(|| workspace()));
+        command.env("CRPL_CACHE", profile_folder()?.join("no-policies"));
         Self::spawn(name, command)
     }
 
@@ -228,6 +234,16 @@ impl Drop for Program {
 /// Runs a program of the workspace to its end.
 pub fn run<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
     Program::start(name, args, None)?.wait()
+}
+
+/// Runs a program of the workspace to its end, with a cache of policies of its own.
+///
+/// # Errors
+/// As [`Program::start`].
+pub fn run_with_cache<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A], cache: &Path) -> Result<Finished> {
+    let mut command = Command::new(path(name)?);
+    command.args(args).current_dir(workspace()).env("CRPL_CACHE", cache);
+    Program::spawn(name, command)?.wait()
 }
 
 /// Starts `sitl` on a port of the system's choice and returns it with its address.

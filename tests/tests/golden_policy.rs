@@ -57,7 +57,12 @@ fn assert_probabilities(got: &[f32], want: &[f64], what: &str) {
 
 fn check(name: &str) {
     let file: File = read(name).expect("the golden file");
-    let policies = Policies { motion: network(&file.pi_s), power: network(&file.pi_p), world: String::new() };
+    let policies = Policies {
+        motion: network(&file.pi_s),
+        power: network(&file.pi_p),
+        world: String::new(),
+        scope: None,
+    };
     assert_eq!(file.cases.len(), 20);
     for (i, case) in file.cases.iter().enumerate() {
         let probabilities = |net: &Mlp| softmax(&net.forward(&case.x));

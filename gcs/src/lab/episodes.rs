@@ -117,7 +117,8 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
         println!("  {:<8}{}", metric.symbol(), cell(mean));
     }
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
-        println!("  policy of another world: {mismatch}");
+        let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };
+        println!("  {does} a policy of another world: {mismatch}");
     }
     Ok(())
 }
