@@ -3,12 +3,12 @@
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
 
-use crate::lab::optimise;
+use crate::lab::{check, optimise};
 use crate::station::models::{MismatchRule, Models, PolicyUse};
 use crate::station::pilot::Controller;
 
@@ -35,13 +35,11 @@ pub fn cover(
         return Ok(());
     }
     if let Err(refusal) = models.policies(scenario, PolicyUse::Fly) {
-        // A file that was given, and a world model that does not fit, are the user's to mend.
-        let covered = models.covers(scenario)?;
-        if covered || models.policy.is_some() && !optimise {
+        // No optimisation mends a scenario that no crpl controller can fly, or a file that was given.
+        if models.covers(scenario)? || check::one_obstacle(scenario).is_err() {
             return Err(refusal);
         }
-        ensure!(models.policy.is_none(), "--policy and --optimise: give one of them: {refusal}");
-        if !(optimise || wanted(&refusal)?) {
+        if models.policy.is_some() || !(optimise || wanted(&refusal)?) {
             return Err(refusal);
         }
         let path = optimised(models, scenario)?;

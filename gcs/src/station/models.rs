@@ -108,13 +108,13 @@ impl Models {
                 scenario.name
             );
         }
-        let chosen = self.nearest(scenario)?;
         let here = checkpoint::fingerprint(&self.world)?;
+        let chosen = self.nearest(scenario, &here)?;
         let theirs = &chosen.policies.world;
         if *theirs != here {
             bail!(
-                "the policies ({}) were optimised in world model {}, and this is {here}: run `gcs optimise` \
-                 on it",
+                "the policies ({}) were optimised in world model {}, and this is {here}: --optimise or \
+                 `gcs optimise` makes policies for it",
                 chosen.origin.source,
                 if theirs.is_empty() { "(unnamed)" } else { theirs }
             );
@@ -131,12 +131,14 @@ impl Models {
         }
     }
 
-    /// Whether there are policies that cover `scenario`.
+    /// Whether there are policies that cover `scenario`, in this world model.
     ///
     /// # Errors
     /// A file that does not read.
     pub fn covers(&self, scenario: &Scenario) -> Result<bool> {
-        Ok(self.nearest(scenario)?.origin.differences.is_empty())
+        let here = checkpoint::fingerprint(&self.world)?;
+        let chosen = self.nearest(scenario, &here)?;
+        Ok(chosen.policies.world == here && chosen.origin.differences.is_empty())
     }
 
     /// Name of the file in the cache of policies for `scenario` in this world model.
@@ -148,8 +150,9 @@ impl Models {
         Ok(format!("{}-{world}.safetensors", scope::fingerprint(scenario)))
     }
 
-    /// The given file; else the one with the fewest differences of the cache's and the shipped.
-    fn nearest(&self, scenario: &Scenario) -> Result<ChosenPolicies> {
+    /// The given file; else the one with the fewest differences of the shipped and the cache's, those of this
+    /// world model first.
+    fn nearest(&self, scenario: &Scenario, world: &str) -> Result<ChosenPolicies> {
         let chosen = |source: String, bytes: &[u8]| -> Result<ChosenPolicies> {
             let policies = Policies::from_bytes(bytes).map_err(|e| anyhow::anyhow!("{source}: {e}"))?;
             let differences = match &policies.scope {
@@ -177,7 +180,7 @@ impl Models {
                 all.push(chosen(path.display().to_string(), &read(&path)?)?);
             }
         }
-        let nearest = all.into_iter().min_by_key(|c| c.origin.differences.len());
+        let nearest = all.into_iter().min_by_key(|c| (c.policies.world != world, c.origin.differences.len()));
         nearest.context("no policy ships with this program")
     }
 }
@@ -195,7 +198,7 @@ pub struct ModelFiles {
     #[arg(long, value_enum, value_name = "RULE", default_value = "refuse")]
     pub policy_mismatch: MismatchRule,
     /// Optimise policies for a scenario that no policy covers, once, and keep them in the cache
-    #[arg(long, conflicts_with = "policy_mismatch")]
+    #[arg(long, conflicts_with_all = ["policy_mismatch", "policy"])]
     pub optimise: bool,
 }
 

@@ -16,10 +16,11 @@ use anyhow::{Context, Result};
 use crpl_model::evaluation::chart;
 use plotters::style::RGBColor;
 
+use crate::lab::policies;
 use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
 use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
-use crate::station::models::Models;
+use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::Controller;
 use page::Page;
 use sweeps::Finished;
@@ -52,9 +53,8 @@ pub struct Report {
     /// Override the sweep files' number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     episodes: Option<u64>,
-    /// Folder of the world model [default: the built-in one]
-    #[arg(long, value_name = "DIR")]
-    checkpoint: Option<PathBuf>,
+    #[command(flatten)]
+    models: ModelFiles,
     /// Folder of the report [default: runs/report, or DIR/report]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -105,8 +105,8 @@ pub fn run(args: &Report) -> Result<()> {
         finished.show(&mut page, &out, "")?;
         print!("{}", finished.text());
     } else {
-        let mut models = Models::load(args.checkpoint.as_deref(), None)?;
-        scenarios(&mut page, &out, &models, args.controller.as_deref())?;
+        let mut models = args.models.load()?;
+        scenarios(&mut page, &out, &mut models, args)?;
         if args.what == "all" {
             all_sweeps(&mut page, &out, &mut models, args)?;
         }
@@ -126,9 +126,13 @@ fn open(dir: &Path) -> Result<Finished> {
     Ok(Finished::new(folder, &episodes))
 }
 
-fn scenarios(page: &mut Page, out: &Path, models: &Models, controllers: Option<&[Controller]>) -> Result<()> {
+fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<()> {
     let paper = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
-    for flown in scenarios::fly(models, controllers.unwrap_or(&paper), scenarios::GUSTY)? {
+    let controllers = args.controller.as_deref().unwrap_or(&paper);
+    for scenario in scenarios::worlds()? {
+        policies::cover(models, controllers, &scenario, args.models.optimise)?;
+    }
+    for flown in scenarios::fly(models, controllers, scenarios::GUSTY)? {
         flown.show(page, out)?;
         println!("{}", flown.text());
     }
@@ -136,8 +140,11 @@ fn scenarios(page: &mut Page, out: &Path, models: &Models, controllers: Option<&
 }
 
 fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<()> {
-    let flags =
-        Overrides { episodes: args.episodes, controllers: args.controller.clone(), ..Overrides::default() };
+    let flags = Overrides {
+        episodes: args.episodes,
+        controllers: args.controller.clone(),
+        ..sweep::overrides(&args.models)
+    };
     for (file, text, words) in SWEEPS {
         let file = SweepFile::parse(text).with_context(|| format!("reading {file}"))?;
         let plan = sweep::resolve(file, &flags, models)?;

@@ -102,6 +102,23 @@ impl ScenarioFlight {
     }
 }
 
+/// The worlds that [`fly`] flies in: both scenarios, and Scenario 2 in gusts.
+///
+/// # Errors
+/// A preset that is missing.
+pub fn worlds() -> Result<Vec<Scenario>> {
+    let mut worlds = SCENARIOS.into_iter().map(Scenario::named).collect::<Result<Vec<_>, _>>()?;
+    let gusty = worlds.last().cloned().map(in_gusts);
+    worlds.extend(gusty);
+    Ok(worlds)
+}
+
+/// The scenario in the gusts that tell on which side a controller passes.
+fn in_gusts(mut scenario: Scenario) -> Scenario {
+    scenario.disturbance.sigma_c = GUSTS.0;
+    scenario
+}
+
 /// Flies both scenarios by these controllers; in Scenario 2 each flies in gusts, too, so many times.
 pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Vec<Flown>> {
     let fly_one = |(number, preset): (u8, &str)| -> Result<Flown> {
@@ -121,9 +138,8 @@ pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Ve
 }
 
 fn gusty_below(models: &Models, controller: Controller, scenario: &Scenario, flights: u64) -> Result<f64> {
-    let (sigma_c, first) = GUSTS;
-    let mut scenario = scenario.clone();
-    scenario.disturbance.sigma_c = sigma_c;
+    let (_, first) = GUSTS;
+    let scenario = in_gusts(scenario.clone());
     let contender = Contender::new(models, controller, &scenario)?;
     let below: Vec<bool> = (first..first + flights)
         .into_par_iter()

@@ -88,17 +88,24 @@ pub fn run(args: &Sweep) -> Result<()> {
         episodes: args.episodes,
         first_seed: args.first_seed,
         controllers: args.controller.clone(),
-        policies: match (args.models.optimise, args.models.policy_mismatch) {
-            (true, _) => Some(SweepPolicies::Optimised),
-            (_, MismatchRule::Allow) => Some(SweepPolicies::Fixed),
-            _ => None,
-        },
+        ..overrides(&args.models)
     };
     let plan = resolve(SweepFile::load(&args.config)?, &flags, &mut models)?;
     let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
     let folder = Folder::begin(&dir, plan, args.shard)?;
     let episodes = complete(&folder, &models)?;
     show(&folder, &episodes, args.json)
+}
+
+/// What the flags of the trained models say of a sweep's policies.
+#[must_use]
+pub fn overrides(files: &ModelFiles) -> Overrides {
+    let policies = match (files.optimise, files.policy_mismatch) {
+        (true, _) => Some(SweepPolicies::Optimised),
+        (_, MismatchRule::Allow) => Some(SweepPolicies::Fixed),
+        _ => None,
+    };
+    Overrides { policies, ..Overrides::default() }
 }
 
 /// The plan of a file, with the trained things that will fly it; `models` will know the policies of all
