@@ -56,7 +56,7 @@ struct Calibration {
 struct Published {
     episodes: u32,
     b_dt: f64,
-    kick: f64,
+    gust_std: f64,
     controller: Controller,
     d_f: Option<f64>,
     e_comm: Option<f64>,
@@ -99,7 +99,7 @@ fn reactive_controllers_agree_with_the_calibration_study() {
 fn assert_agrees(row: &Published, models: &Models) {
     let mut scenario = Scenario::default();
     scenario.radio.b_dt = row.b_dt;
-    scenario.disturbance.sigma_c = row.kick / scenario.disturbance.noise_gain;
+    scenario.disturbance.sigma_c = row.gust_std / scenario.disturbance.gust_scale;
     let contender = Contender::new(models, row.controller, &scenario).unwrap();
     let flights: Vec<FlightScore> = (0..FLIGHTS).map(|seed| contender.fly(200_000 + seed).unwrap()).collect();
     for (metric, published, rounding) in row.figures() {
@@ -108,10 +108,10 @@ fn assert_agrees(row: &Published, models: &Models) {
         let apart = (here.mean - published).abs();
         assert!(
             apart <= SIGMAS * error + rounding,
-            "{} at B dt {}, kick {}, {}: {} here, {published} published, {:.1} standard errors",
+            "{} at B dt {}, gusts {}, {}: {} here, {published} published, {:.1} standard errors",
             row.controller,
             row.b_dt,
-            row.kick,
+            row.gust_std,
             metric.key(),
             here.mean,
             apart / error

@@ -34,8 +34,8 @@ fn dynamics_step() {
             crpl_sitl::scenario::Dynamics { walls: case.walls, ..table.params.scenario().dynamics };
         let before = dynamics::State { r: vector(case.r), v: vector(case.v) };
         // The files give the disturbance as sigma times w; the scenario's own gain is not in them.
-        let kick = case.sigma_c * vector(case.w);
-        let after = dynamics::step(before, vector(case.a), kick, &dynamics);
+        let gust = case.sigma_c * vector(case.w);
+        let after = dynamics::step(before, vector(case.a), gust, &dynamics);
         assert_vector_close(after.r, case.r_next, table.tol, &format!("case {i}, r"));
         assert_vector_close(after.v, case.v_next, table.tol, &format!("case {i}, v"));
     }
@@ -227,6 +227,8 @@ fn replay(flight: &Flight, scenario: &Scenario, name: &str) -> Vec<Record> {
             v_next: world.uav.v,
             obstacles: world.obstacles(),
             p_coll,
+            collided: world.clearance(scenario) <= scenario.safety.d_min,
+            edge: false,
         });
     }
     let last = flight.r.last().expect("a flight has positions");

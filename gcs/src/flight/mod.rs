@@ -25,6 +25,7 @@ use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::interrupted;
 use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::scenario::CollisionAction;
 use crpl_sitl::units::Tick;
 use tokio::time::{Instant, interval, sleep};
 
@@ -90,7 +91,7 @@ impl Options {
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FlightEnd {
-    /// After its last tick.
+    /// After its last tick, or after a collision at which the vehicle falls.
     #[default]
     Over,
     /// By Ctrl-C or SIGTERM.
@@ -157,7 +158,9 @@ pub async fn fly(
                 match event {
                     RemoteEvent::Percept(percept) => {
                         shell.percept(&percept, arrived);
-                        if options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks)) {
+                        let is_last =
+                            options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks));
+                        if is_last || shell.has_fallen(&percept, scenario) {
                             return shell.over(percept).await;
                         }
                         let command = shell.remote.command(&station(&percept));
@@ -249,6 +252,13 @@ impl<'a> FlightShell<'a> {
         self.last_percept = arrived;
         self.flight.wall = arrived - first;
         tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// Whether the vehicle has collided since its last report, in a scenario in which it then falls.
+    fn has_fallen(&self, percept: &Percept, scenario: &Scenario) -> bool {
+        let before = self.flight.last.as_ref().map(|last| &last.telemetry);
+        scenario.safety.collision_action == CollisionAction::Fall
+            && before.is_some_and(|b| b.contact(&percept.telemetry, scenario).obstacle.is_some())
     }
 
     /// Something is missing.

@@ -115,7 +115,7 @@ impl ConstraintCheck {
         Ok(Self {
             flights,
             first_seed,
-            gust_std: scenario.disturbance.kick(),
+            gust_std: scenario.disturbance.gust_std(),
             safe: ConstraintRate::of(count(|end| end.clear), flights, objective.collision_tolerance),
             comm: ConstraintRate::of(count(|end| end.connected), flights, objective.outage_tolerance),
             d_f: ends.iter().map(|end| end.d_f).sum::<f64>() / flights.max(1) as f64,
@@ -152,7 +152,7 @@ impl std::fmt::Display for ConstraintCheck {
         for (what, rate) in [("P_safe", &self.safe), ("P_comm", &self.comm)] {
             writeln!(
                 f,
-                "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, kick {}; 1 - delta = {}",
+                "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, gusts {}; 1 - delta = {}",
                 rate.share, rate.ci[0], rate.ci[1], self.flights, self.gust_std, rate.needed
             )?;
         }
@@ -228,7 +228,7 @@ pub fn after(
 fn gusty(scenario: &Scenario, gust_std: f64) -> Scenario {
     let mut scenario = scenario.clone();
     if scenario.disturbance.sigma_c == 0.0 {
-        scenario.disturbance.sigma_c = gust_std / scenario.disturbance.noise_gain;
+        scenario.disturbance.sigma_c = gust_std / scenario.disturbance.gust_scale;
     }
     scenario
 }

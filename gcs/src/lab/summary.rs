@@ -2,7 +2,8 @@
 
 use crpl_model::numeric::statistics::quantile;
 use crpl_sitl::radio::Fates;
-use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric};
+use crpl_sitl::scenario::CollisionAction;
+use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use serde::Serialize;
 
 use crate::flight::{Flight, FlightEnd};
@@ -33,6 +34,8 @@ pub struct Summary {
     pub frames_lost: u64,
     /// Whether the flight ended because the operator took the vehicle over.
     pub taken_over: bool,
+    /// Whether the flight ended because the vehicle collided and fell.
+    pub fell: bool,
     /// Setpoints of other stations that were not forwarded to the vehicle.
     pub setpoints_held_back: u64,
 }
@@ -64,6 +67,8 @@ impl Summary {
             latency_ms: Latency { p50: at(0.5), p99: at(0.99) },
             real_time_factor: simulated / flight.wall.as_secs_f64(),
             frames_lost: flight.lost,
+            fell: scenario.safety.collision_action == CollisionAction::Fall
+                && station.records().last().is_some_and(|last| last.collided),
             taken_over: flight.ended == FlightEnd::TakenOver,
             setpoints_held_back: flight.suppressed_setpoints,
         })
@@ -98,7 +103,7 @@ pub fn table(flights: &[Summary]) -> String {
     for metric in Metric::ALL {
         row(&format!("{:<8}{}", metric.symbol(), metric.title()), &|f| {
             let value = metric.show(f.score[metric]);
-            if metric.is_count() { format!("{value} of {}", f.score.ticks) } else { value }
+            if metric.count() == Count::Intervals { format!("{value} of {}", f.score.ticks) } else { value }
         });
     }
     rows.iter().for_each(|(name, cell)| row(name, cell));
@@ -106,6 +111,9 @@ pub fn table(flights: &[Summary]) -> String {
     for flight in flights.iter().filter(|flight| flight.taken_over) {
         let ticks = flight.score.ticks;
         text += &format!("{}: the operator took over after {ticks} intervals\n", flight.controller);
+    }
+    for flight in flights.iter().filter(|flight| flight.fell) {
+        text += &format!("{}: collided and fell in interval {}\n", flight.controller, flight.score.ticks);
     }
     for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {
         let count = flight.setpoints_held_back;

@@ -72,7 +72,7 @@ impl BeliefConfig {
     pub fn of(scenario: &Scenario) -> Self {
         Self {
             limits: MotionLimits::of(scenario),
-            gust_std: scenario.disturbance.kick(),
+            gust_std: scenario.disturbance.gust_std(),
             window: usize::try_from(scenario.observer.window).unwrap_or(usize::MAX),
             obstacles: scenario.obstacles.len(),
             scale: scenario.scale,

@@ -253,7 +253,7 @@ fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> ShortFligh
     let obstacle = Vector2::new(place(margin), place(margin));
     let mut free = scenario.dynamics.clone();
     free.walls = false;
-    let kick = scenario.disturbance.noise_gain * case.sigma_c;
+    let std = scenario.disturbance.gust_scale * case.sigma_c;
     let at = |uav: Vector2<f64>, k: usize| Scene { uav, obstacle: obstacle + drift * k as f64 };
     let seen = [at(uav.r - uav.v, 0), at(uav.r, 1)];
     let mut actions = Vec::with_capacity(AHEAD);
@@ -261,7 +261,7 @@ fn fly(case: &FlightCase, scenario: &Scenario, rng: &mut impl Rng) -> ShortFligh
         let mut draw = || rng.random_range(-1.0..=1.0);
         let a = Vector2::new(draw(), draw());
         let mut gust = || -> f64 { StandardNormal.sample(rng) };
-        let gust = Vector2::new(gust(), gust()) * kick;
+        let gust = Vector2::new(gust(), gust()) * std;
         uav = dynamics::step(uav, a, gust, &free);
         actions.push(a);
     }

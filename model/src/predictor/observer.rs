@@ -3,7 +3,7 @@
 //!
 //! Two frames give a speed that carries both frames' errors, and a rollout of 100 steps multiplies
 //! it by 100. Here every frame of a window counts: a Kalman filter runs over the window from its
-//! first frame on, so without an assumed disturbance (`kick` 0) it is least squares after the
+//! first frame on, so without an assumed disturbance (`gust` 0) it is least squares after the
 //! actions' contribution is taken out, and with a large one it leans on the last two frames. Plane
 //! coordinates throughout. Knows latents and actions; neither frames nor positions.
 //!
@@ -78,15 +78,15 @@ pub struct MotionModel {
     /// Standard deviation of a frame's coordinate, latent units.
     pub noise: f64,
     /// Standard deviation of the speed's disturbance in an interval and axis, latent units.
-    pub kick: f64,
+    pub gust: f64,
 }
 
 impl MotionModel {
     /// A half with `scale` latent units per unit of length; `v_max` (infinite where no limit is known) and
-    /// `kick`, the standard deviation of a gust, in units per interval.
+    /// `gust`, the standard deviation of a gust, in units per interval.
     #[must_use]
-    pub fn new(predictor: Predictor, scale: f64, v_max: f64, kick: f64) -> Self {
-        Self { predictor, reach: scale * v_max, noise: scale * FRAME_NOISE, kick: scale * kick }
+    pub fn new(predictor: Predictor, scale: f64, v_max: f64, gust: f64) -> Self {
+        Self { predictor, reach: scale * v_max, noise: scale * FRAME_NOISE, gust: scale * gust }
     }
 
     /// One step of (y, y - y_before) under an action, and its Jacobian.
@@ -233,8 +233,8 @@ impl Filter {
 
     fn predict(&mut self, motion: &MotionModel, a: Vector2<f64>) {
         let (next, jacobian) = motion.step(&self.state, a);
-        // The kick enters the speed, and with it the place.
-        let entry = Matrix4x2::new(1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0) * motion.kick;
+        // The gust enters the speed, and with it the place.
+        let entry = Matrix4x2::new(1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0) * motion.gust;
         self.state = next;
         self.covariance = jacobian * self.covariance * jacobian.transpose() + entry * entry.transpose();
     }
@@ -288,18 +288,18 @@ mod tests {
 
     const SCALE: f64 = 10.0;
 
-    fn motion(kick: f64) -> MotionModel {
+    fn motion(gust: f64) -> MotionModel {
         let (two, one) = (Matrix2::identity() * 2.0, Matrix2::identity());
         let ca = Matrix2::new(0.035, 0.001, -0.002, 0.034);
         let linear = PlaneLinear { newer: two, older: -one, action: ca };
-        MotionModel::new(Predictor::Linear(linear), SCALE, 0.04, kick)
+        MotionModel::new(Predictor::Linear(linear), SCALE, 0.04, gust)
     }
 
     /// A flight that obeys `motion`: places, and the action flown before each.
     fn flight(
         motion: &MotionModel,
         steps: usize,
-        kick: f64,
+        gust: f64,
         rng: &mut impl Rng,
     ) -> Vec<(Vector2<f64>, Vector2<f64>)> {
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
@@ -307,7 +307,7 @@ mod tests {
         let mut out = vec![(Vector2::new(1.0, -2.0), Vector2::zeros())];
         for k in 0..steps {
             let a = Vector2::new((k as f64 * 1.3).sin(), (k as f64 * 0.7).cos());
-            let pushed = a + Vector2::new(normal(), normal()) * (kick / 0.0035);
+            let pushed = a + Vector2::new(normal(), normal()) * (gust / 0.0035);
             state = motion.step(&state, pushed).0;
             out.push((state.fixed_rows::<2>(0).into_owned(), a));
         }
@@ -328,13 +328,13 @@ mod tests {
         let mut rng = Noise::new(1).generator(Stream::Evaluation, 0);
         let flight = flight(&motion(0.0), 40, 0.0, &mut rng);
         for window in [2, 3, 10, 20, 50] {
-            for kick in [0.0, 0.0015] {
-                let mut observer = LatentObserver::new(motion(kick), window);
+            for gust in [0.0, 0.0015] {
+                let mut observer = LatentObserver::new(motion(gust), window);
                 for (y, a) in &flight {
                     observer.observe(*y, &[*a]);
                 }
                 let off = apart(observer.estimate().unwrap(), truth(&flight));
-                assert!(off < 1e-6, "window {window}, kick {kick}: off by {off}");
+                assert!(off < 1e-6, "window {window}, gust {gust}: off by {off}");
             }
         }
     }
@@ -354,10 +354,10 @@ mod tests {
     #[test]
     fn more_frames_see_the_speed_better_and_kicks_are_not_averaged_away() {
         let mut rng = Noise::new(2).generator(Stream::Evaluation, 0);
-        let speed_error = |window: usize, reckoned: f64, kick: f64, rng: &mut _| -> f64 {
+        let speed_error = |window: usize, reckoned: f64, gust: f64, rng: &mut _| -> f64 {
             let squares: Vec<f64> = (0..200)
                 .map(|_| {
-                    let flight = flight(&motion(0.0), 30, kick, rng);
+                    let flight = flight(&motion(0.0), 30, gust, rng);
                     let mut observer = LatentObserver::new(motion(reckoned), window);
                     for (y, a) in &flight {
                         let noise = Vector2::new(StandardNormal.sample(rng), StandardNormal.sample(rng));

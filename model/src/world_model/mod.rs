@@ -91,15 +91,15 @@ impl WorldModel {
         self.linear.uncontrollable(&plane(&self.plane_u))
     }
 
-    /// How both halves move, for the observer: controllable and uncontrollable. `v_max` and `kick` (the
+    /// How both halves move, for the observer: controllable and uncontrollable. `v_max` and `gust_std` (the
     /// disturbance's standard deviation) in units per interval.
     #[must_use]
-    pub fn motions(&self, v_max: f64, kick: f64) -> [MotionModel; 2] {
+    pub fn motions(&self, v_max: f64, gust_std: f64) -> [MotionModel; 2] {
         // The probe's matrix is units per latent unit.
         let scale_u = 1.0 / (self.probe.u.matrix.norm() / std::f64::consts::SQRT_2).max(1e-9);
         let uncontrollable = Predictor::Linear(self.uncontrollable());
         [
-            MotionModel::new(self.predictor.clone(), self.scale, v_max, kick),
+            MotionModel::new(self.predictor.clone(), self.scale, v_max, gust_std),
             MotionModel::new(uncontrollable, scale_u, f64::INFINITY, 0.0),
         ]
     }

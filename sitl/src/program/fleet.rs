@@ -21,7 +21,7 @@ pub fn scenario(base: &Scenario, seed: u64, index: usize) -> Scenario {
     let mut rng = Noise::new(seed).generator(Stream::Start, index as u64);
     let mut places =
         std::iter::repeat_with(|| Vector2::from_fn(|_, _| rng.random_range(margin..=1.0 - margin)));
-    let reach = obstacle.radius + base.uav_radius + base.goal_radius;
+    let reach = obstacle.radius + base.uav_radius + base.goal_radius.max(base.safety.d_min);
     let is_free =
         |place: &Vector2<f64>| (place - base.start).norm() > reach && (place - base.goal).norm() > reach;
     // An obstacle so large that it fits nowhere stays where it is.

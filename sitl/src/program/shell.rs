@@ -152,9 +152,12 @@ impl Shell {
                 arrival = self.links.receive(&mut self.buffer) => {
                     self.arrived(arrival);
                     let now = self.start.elapsed();
-                    for vehicle in self.vehicles.iter_mut().filter(|vehicle| vehicle.ready()) {
-                        vehicle.advance(now);
-                        resend = Backoff::default();
+                    for vehicle in &mut self.vehicles {
+                        // One that falls waits for no setpoint.
+                        while vehicle.ready() {
+                            vehicle.advance(now);
+                            resend = Backoff::default();
+                        }
                     }
                 }
                 () = resend.elapsed() => {

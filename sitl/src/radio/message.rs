@@ -6,8 +6,10 @@
 use std::sync::Arc;
 
 use crate::camera::Frame;
+use crate::scenario::Scenario;
 use crate::units::{Scale, Tick, TxPower};
 use crate::world::obstacles::{Obstacles, PerObstacle};
+use crate::world::safety::Contact;
 
 /// What the station asks of the vehicle and of its own transmitter for one control interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,6 +72,19 @@ impl Telemetry {
     #[must_use]
     pub fn obstacles(&self, scale: &Scale) -> Obstacles {
         self.obstacles.iter().map(|place| scale.paper_from_ned(*place)).collect()
+    }
+
+    /// What the UAV touched between this report and a later one. Vehicle and station compute it from the
+    /// same reports, so they agree.
+    #[must_use]
+    pub fn contact(&self, after: &Self, scenario: &Scenario) -> Contact {
+        let scale = &scenario.scale;
+        let place = |report: &Self| scale.paper_from_ned(report.position);
+        Contact::between(
+            (place(self), &self.obstacles(scale)),
+            (place(after), &after.obstacles(scale)),
+            scenario,
+        )
     }
 }
 

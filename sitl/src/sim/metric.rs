@@ -13,7 +13,8 @@ use super::record::Record;
 use crate::scenario::Scenario;
 use crate::world::energy;
 
-/// A number that scores a whole flight: the paper's five of Sec. IV-A6, in the order of the panels of Figs. 6 and 7.
+/// A number that scores a whole flight: the paper's five of Sec. IV-A6, in the order of the panels of Figs. 6 and 7,
+/// then ours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Metric {
     /// d_f = |r_H - r_g|, paper units.
@@ -26,6 +27,10 @@ pub enum Metric {
     CollisionProbability,
     /// Intervals in outage (the paper's T_out is this times Δt).
     Outages,
+    /// How often it touched an obstacle: entries, not intervals. Ours.
+    Collisions,
+    /// How often it touched the field's edge: entries, not intervals. Ours.
+    EdgeContacts,
 }
 
 /// How a metric is named and printed.
@@ -37,8 +42,20 @@ struct About {
     head: &'static str,
     flight_decimals: usize,
     decimals: usize,
-    is_count: bool,
+    count: Count,
     floor: f64,
+    is_of_paper: bool,
+}
+
+/// Whether a metric is a whole number in every flight, and of what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Count {
+    /// It is a real number.
+    No,
+    /// Of control intervals: at most as many as were flown.
+    Intervals,
+    /// Of events.
+    Events,
 }
 
 const ABOUT: About = About {
@@ -49,19 +66,31 @@ const ABOUT: About = About {
     head: "",
     flight_decimals: 4,
     decimals: 4,
-    is_count: false,
+    count: Count::No,
     floor: f64::MIN_POSITIVE,
+    is_of_paper: true,
 };
+
+/// A count of events that the paper does not have.
+const EVENTS: About =
+    About { flight_decimals: 0, decimals: 2, count: Count::Events, floor: 1.0, is_of_paper: false, ..ABOUT };
 
 impl Metric {
     /// All of them, in the order of every table and figure.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::TerminalDistance,
         Self::TransmitEnergy,
         Self::PropulsionEnergy,
         Self::CollisionProbability,
         Self::Outages,
+        Self::Collisions,
+        Self::EdgeContacts,
     ];
+
+    /// Those of the paper: the panels of Figs. 6 and 7 and the ratios to CRPL.
+    pub fn of_paper() -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().filter(|metric| metric.about().is_of_paper)
+    }
 
     /// Scores a flight. Of no record it is what an empty sum or maximum is, and NaN for d_f.
     #[must_use]
@@ -79,6 +108,8 @@ impl Metric {
             }
             Self::CollisionProbability => records.iter().map(|r| r.p_coll).fold(0.0, f64::max),
             Self::Outages => records.iter().filter(|r| r.outage).count() as f64,
+            Self::Collisions => entries(records, |r| r.collided),
+            Self::EdgeContacts => entries(records, |r| r.edge),
         }
     }
 
@@ -124,9 +155,23 @@ impl Metric {
                 head: "T_out",
                 flight_decimals: 0,
                 decimals: 2,
-                is_count: true,
+                count: Count::Intervals,
                 floor: 1.0,
                 ..ABOUT
+            },
+            Self::Collisions => About {
+                key: "collisions",
+                symbol: "coll",
+                title: "collisions with an obstacle",
+                head: "collisions",
+                ..EVENTS
+            },
+            Self::EdgeContacts => About {
+                key: "edge_contacts",
+                symbol: "edge",
+                title: "contacts with the field's edge",
+                head: "edge contacts",
+                ..EVENTS
             },
         }
     }
@@ -137,7 +182,7 @@ impl Metric {
         self.about().key
     }
 
-    /// The paper's symbol for it.
+    /// The paper's symbol for it, or a short name of ours.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         self.about().symbol
@@ -168,13 +213,19 @@ impl Metric {
         self.about().decimals
     }
 
-    /// Whether it counts control intervals: a whole number in every flight.
+    /// Whether it is a whole number in every flight, and of what.
     #[must_use]
-    pub fn is_count(self) -> bool {
-        self.about().is_count
+    pub fn count(self) -> Count {
+        self.about().count
     }
 
-    /// Least denominator of a ratio: CRPL may have no outage at all, so one interval there.
+    /// Whether it is a whole number in every flight.
+    #[must_use]
+    pub fn is_count(self) -> bool {
+        self.count() != Count::No
+    }
+
+    /// Least denominator of a ratio: CRPL may have no outage at all, so one interval there; one event, too.
     #[must_use]
     pub fn floor(self) -> f64 {
         self.about().floor
@@ -209,12 +260,6 @@ impl<T> PerMetric<T> {
     }
 }
 
-impl<T> From<[T; Metric::ALL.len()]> for PerMetric<T> {
-    fn from(values: [T; Metric::ALL.len()]) -> Self {
-        Self(values)
-    }
-}
-
 impl<T> Index<Metric> for PerMetric<T> {
     type Output = T;
 
@@ -239,12 +284,9 @@ pub enum FlightOutcome {
     /// Whether it passed below the obstacle: at smaller y where it first reached the x of the
     /// obstacle's first position.
     Below,
-    /// Whether it ended within [`AT_WALL`] of a wall.
+    /// Whether it touched the field's edge at any time.
     AtWall,
 }
-
-/// How near to a wall a flight must end to count as ended there, paper units: the UAV's radius.
-pub const AT_WALL: f64 = 0.02;
 
 impl FlightOutcome {
     /// All of them, in the order of every table.
@@ -270,9 +312,15 @@ impl FlightOutcome {
                 let obstacle = scenario.obstacle().position;
                 abreast(records, scenario).is_some_and(|y| y < obstacle.y)
             }
-            Self::AtWall => end.is_some_and(|r| r.iter().any(|x| x.min(1.0 - x) < AT_WALL)),
+            Self::AtWall => records.iter().any(|r| r.edge),
         }
     }
+}
+
+/// How often a state is entered: intervals in it, less those that follow another in it.
+fn entries(records: &[Record], is_in: impl Fn(&Record) -> bool) -> f64 {
+    let mut before = false;
+    records.iter().map(is_in).filter(|now| !std::mem::replace(&mut before, *now) && *now).count() as f64
 }
 
 /// The y at which a flight first reached the x of the obstacle's first position.
@@ -349,6 +397,29 @@ mod tests {
         for (n, outcome) in FlightOutcome::ALL.into_iter().enumerate() {
             assert_eq!(outcome as usize, n, "{}", outcome.key());
         }
+    }
+
+    #[test]
+    fn a_contact_of_many_intervals_is_one_and_a_second_touch_is_two() {
+        let mut sim = crate::Sim::new(Scenario::default(), 0);
+        let before = sim.telemetry();
+        sim.advance();
+        let command = crate::radio::message::Command::new(before.tick, [0.0; 2], crate::units::TxPower::Low);
+        let record = Record::new(&before, &command, &sim.telemetry(), sim.scenario());
+        let score = |collided: [bool; 6]| {
+            let records = collided.map(|collided| Record { collided, edge: !collided, ..record.clone() });
+            let score = FlightScore::of(&records, &Scenario::default()).unwrap();
+            [score[Metric::Collisions], score[Metric::EdgeContacts]]
+        };
+        assert_eq!(score([false; 6]), [0.0, 1.0]);
+        assert_eq!(score([true; 6]), [1.0, 0.0]);
+        assert_eq!(score([true, true, false, true, false, false]), [2.0, 2.0]);
+    }
+
+    #[test]
+    fn the_papers_metrics_are_its_five_in_its_order() {
+        let keys: Vec<_> = Metric::of_paper().map(Metric::key).collect();
+        assert_eq!(keys, ["d_f", "e_comm", "e_ctrl", "p_coll_max", "t_out"]);
     }
 
     #[test]

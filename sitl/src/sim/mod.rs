@@ -14,11 +14,12 @@ use crate::camera::Frame;
 use crate::camera::effects::FrameId;
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
-use crate::scenario::Scenario;
+use crate::scenario::{CollisionAction, Scenario};
 use crate::units::{Tick, TxPower};
 use crate::world::World;
 use crate::world::dynamics::State;
 use crate::world::noise::{Noise, Stream};
+use crate::world::safety::Contact;
 
 /// Who flies the UAV in an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -45,6 +46,8 @@ pub struct Sim {
     tick: Tick,
     link: Option<LinkReport>,
     control: Control,
+    contact: Contact,
+    fallen: bool,
 }
 
 impl Sim {
@@ -59,6 +62,8 @@ impl Sim {
             tick: Tick::default(),
             link: None,
             control: Control::default(),
+            contact: Contact::default(),
+            fallen: false,
             scenario,
         }
     }
@@ -132,14 +137,39 @@ impl Sim {
 
     /// The second half: the obstacles move, and the UAV as [`Sim::set_control`] says.
     pub fn step(&mut self) {
+        let before = self.telemetry();
+        self.fly();
+        self.contact = before.contact(&self.telemetry(), &self.scenario);
+        let falls = self.scenario.safety.collision_action == CollisionAction::Fall;
+        if falls && self.contact.obstacle.is_some() && self.control != Control::External {
+            self.fallen = true;
+            self.world.uav.v = Vector2::zeros();
+        }
+    }
+
+    /// What the UAV touched in the interval that just ended. The way of one under [`Control::External`] is
+    /// that since [`Sim::place`], so its contacts are to be told from its reports: [`Telemetry::contact`].
+    #[must_use]
+    pub fn contact(&self) -> Contact {
+        self.contact
+    }
+
+    /// Whether it has collided where [`CollisionAction::Fall`] holds. It is then at rest where the interval
+    /// of the collision ended, whoever controls it, and its flight is over.
+    #[must_use]
+    pub fn is_fallen(&self) -> bool {
+        self.fallen
+    }
+
+    fn fly(&mut self) {
         if self.control == Control::External {
             self.world.step_obstacles(&self.scenario);
             self.tick = self.tick.next();
             return;
         }
-        let kick = self.scenario.disturbance.kick() * self.noise.normal(Stream::Wind, self.tick);
-        let parked = (self.control == Control::Parked).then_some(self.world.uav.r);
-        self.world.step(self.flown(), kick, &self.scenario);
+        let gust = self.scenario.disturbance.gust_std() * self.noise.normal(Stream::Wind, self.tick);
+        let parked = (self.fallen || self.control == Control::Parked).then_some(self.world.uav.r);
+        self.world.step(self.flown(), gust, &self.scenario);
         if let Some(place) = parked {
             self.world.uav = State::at_rest(place);
         }
@@ -216,6 +246,36 @@ mod tests {
     fn equal_seeds_give_equal_flights() {
         assert_eq!(fly(3, 60).percept(), fly(3, 60).percept());
         assert_ne!(fly(3, 60).telemetry().position, fly(4, 60).telemetry().position);
+    }
+
+    /// Flies east from beside the obstacle; gives the intervals in contact.
+    fn into_the_obstacle(action: CollisionAction) -> (Sim, Vec<u64>) {
+        let mut scenario = Scenario { start: Vector2::new(0.3, 0.45), ..Scenario::default() };
+        scenario.safety.collision_action = action;
+        let mut sim = Sim::new(scenario, 0);
+        sim.set_control(Control::Onboard(Vector2::x()));
+        let mut touched = Vec::new();
+        for k in 0..40 {
+            sim.advance();
+            touched.extend(sim.contact().obstacle.map(|_| k));
+        }
+        (sim, touched)
+    }
+
+    #[test]
+    fn a_uav_flies_on_through_an_obstacle_as_in_the_paper_and_the_collision_is_told() {
+        let (sim, touched) = into_the_obstacle(CollisionAction::Continue);
+        assert!(touched.len() > 3 && touched.is_sorted_by(|a, b| a + 1 == *b), "{touched:?}");
+        assert!(sim.world().uav.r.x > 0.62 && !sim.is_fallen());
+    }
+
+    #[test]
+    fn a_uav_that_falls_at_a_collision_stays_where_it_fell() {
+        let (sim, touched) = into_the_obstacle(CollisionAction::Fall);
+        let State { r, v } = sim.world().uav;
+        assert!(sim.is_fallen() && v == Vector2::zeros());
+        assert!(r.x > 0.38 && r.x < 0.42, "{r}");
+        assert_eq!(touched[0], into_the_obstacle(CollisionAction::Continue).1[0]);
     }
 
     #[test]

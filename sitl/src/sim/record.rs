@@ -40,6 +40,10 @@ pub struct Record {
     pub obstacles: Obstacles,
     /// Ground-truth collision probability at k+1.
     pub p_coll: f64,
+    /// Whether it touched an obstacle in this interval.
+    pub collided: bool,
+    /// Whether it was at the field's edge, or beyond it, at k+1.
+    pub edge: bool,
 }
 
 impl Record {
@@ -50,6 +54,7 @@ impl Record {
         let normalised = |accel| scale.paper_from_ned_acceleration(accel) / scenario.dynamics.a_max;
         let r_next = scale.paper_from_ned(after.position);
         let obstacles = after.obstacles(scale);
+        let contact = before.contact(after, scenario);
         Self {
             tick: before.tick,
             r: scale.paper_from_ned(before.position),
@@ -64,6 +69,8 @@ impl Record {
             v_next: scale.paper_from_ned_velocity(after.velocity),
             p_coll: obstacles.collision_probability(r_next, scenario),
             obstacles,
+            collided: contact.obstacle.is_some(),
+            edge: contact.edge,
         }
     }
 }

@@ -59,7 +59,7 @@ impl Snr {
 ///
 /// The paper's units are 1 length unit and 1 control interval; speeds are units per interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Scale {
     /// Metres per unit of length (our choice; docs/choices.md).
     pub metres_per_unit: f64,

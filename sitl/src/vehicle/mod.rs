@@ -61,6 +61,7 @@ use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
+use crate::world::safety::Contact;
 use battery::Battery;
 use failsafe::LossOfLink;
 use height::Height;
@@ -113,6 +114,8 @@ pub struct Vehicle {
     acknowledged: bool,
     /// Newest time stamp of a power command, boot ms.
     newest_power: Option<f32>,
+    /// What it touched in the interval that just ended.
+    contact: Contact,
     said: BTreeMap<&'static str, Duration>,
     /// The control interval on the wall's clock; `None` in lockstep.
     period: Option<Duration>,
@@ -134,6 +137,10 @@ pub struct Tally {
     pub stale: u64,
     /// Good setpoints that came in another mode than GUIDED.
     pub ignored: u64,
+    /// Collisions with an obstacle: contacts, not intervals.
+    pub collisions: u64,
+    /// Contacts with the field's edge.
+    pub edge_contacts: u64,
     /// Setpoints not taken.
     pub refused: BTreeMap<Refusal, u64>,
     /// Commands that it does not know.
@@ -152,6 +159,8 @@ impl Tally {
         self.setpoints += other.setpoints;
         self.stale += other.stale;
         self.ignored += other.ignored;
+        self.collisions += other.collisions;
+        self.edge_contacts += other.edge_contacts;
         self.unsupported += other.unsupported;
         self.signed += other.signed;
         for (&refusal, count) in &other.refused {
@@ -176,6 +185,9 @@ impl std::fmt::Display for Tally {
         }
         for (rejection, count) in &self.unsigned {
             write!(f, ", {count} refused: {rejection}")?;
+        }
+        if self.collisions + self.edge_contacts > 0 {
+            write!(f, "; {} collisions, {} edge contacts", self.collisions, self.edge_contacts)?;
         }
         Ok(())
     }
@@ -263,6 +275,7 @@ impl Vehicle {
             ready: false,
             acknowledged: false,
             newest_power: None,
+            contact: Contact::default(),
             said: BTreeMap::new(),
             period: None,
             default_hz: BTreeMap::new(),
@@ -410,7 +423,7 @@ impl Vehicle {
     /// Whether a setpoint for this very tick has arrived.
     #[must_use]
     pub fn ready(&self) -> bool {
-        self.ready && !self.over()
+        (self.ready || self.sim.is_fallen()) && !self.over()
     }
 
     /// Whether any setpoint has arrived: the flight begins with the first.
@@ -419,10 +432,11 @@ impl Vehicle {
         self.begun
     }
 
-    /// Whether the flight has had all its intervals.
+    /// Whether the flight has had all its intervals, or has ended on the ground after a collision.
     #[must_use]
     pub fn over(&self) -> bool {
         self.ticks.is_some_and(|ticks| self.sim.tick() >= Tick(ticks))
+            || self.sim.is_fallen() && self.height.on_ground()
     }
 
     /// Whether a station has confirmed the last percept, by a setpoint with its time stamp.
@@ -443,6 +457,7 @@ impl Vehicle {
         let control = self.control(now);
         self.sim.set_control(control);
         self.sim.step();
+        self.tell_contact(now);
         (self.ready, self.png, self.sendings) = (false, None, 0);
         let power = link.map_or(self.sim.power(), |link| link.power);
         let speed = self.conduct.armed.then(|| self.sim.world().uav.v.norm());
@@ -465,10 +480,30 @@ impl Vehicle {
             _ => {}
         }
         if self.over() {
-            let text = format!("flight over after {} ticks", tick.0);
+            let why = if self.sim.is_fallen() { ": collision" } else { "" };
+            let text = format!("flight over after {} ticks{why}", tick.0);
             self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
         }
         self.send_percept();
+    }
+
+    /// Says once for each contact what was touched; the motors of a vehicle that falls stop.
+    fn tell_contact(&mut self, now: Duration) {
+        let before = std::mem::replace(&mut self.contact, self.sim.contact());
+        let (contact, tick) = (self.contact, self.sim.tick().0);
+        if let (Some(obstacle), None) = (contact.obstacle, before.obstacle) {
+            self.tally.collisions += 1;
+            let text = format!("collision with obstacle {} before tick {tick}", obstacle + 1);
+            self.tell_text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        }
+        if contact.edge && !before.edge {
+            self.tally.edge_contacts += 1;
+            let text = format!("edge of the field before tick {tick}");
+            self.tell_text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        }
+        if self.sim.is_fallen() && self.conduct.armed {
+            self.cut_motors(now);
+        }
     }
 
     /// Commands that have got through the radio.

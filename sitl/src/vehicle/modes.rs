@@ -192,14 +192,8 @@ impl Vehicle {
             0.0 if in_air && !forced => self.refused("disarming", "disarming refused: in the air", now),
             0.0 => {
                 if conduct.armed && in_air {
-                    self.say(
-                        "fall",
-                        MavSeverity::MAV_SEVERITY_EMERGENCY,
-                        "motors off in the air: falling",
-                        now,
-                    );
+                    self.cut_motors(now);
                     self.leave_station();
-                    self.begun = true;
                 } else if conduct.armed {
                     self.notice("disarming", "disarmed", now);
                 }
@@ -209,6 +203,14 @@ impl Vehicle {
             }
             _ => DENIED,
         }
+    }
+
+    /// The motors stop in the air: it falls.
+    pub(super) fn cut_motors(&mut self, now: Duration) {
+        self.say("fall", MavSeverity::MAV_SEVERITY_EMERGENCY, "motors off in the air: falling", now);
+        self.begun = true;
+        self.conduct.armed = false;
+        self.conduct.climbing = false;
     }
 
     /// `base` holds MAV_MODE_FLAG; the custom mode counts if its flag is set.

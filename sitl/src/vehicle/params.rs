@@ -13,7 +13,8 @@
 //! | `RADIO_B_DT`, `RADIO_PKT_BITS` | bits an interval and bit/s/Hz; bits | at boot |
 //! | `CHAN_REF_GAIN`, `CHAN_PL_EXP`, `CHAN_NLOS`, `CHAN_NOISE`, `CHAN_SNR_MIN` | the paper's | at boot |
 //! | `DYN_V_MAX`, `DYN_A_MAX`, `DYN_WALLS` | m/s; m/s²; 0 or 1 | at boot |
-//! | `WIND_KICK` | m/s, standard deviation an interval and axis | at boot |
+//! | `WIND_GUST` | m/s, standard deviation an interval and axis | at boot |
+//! | `COLLIDE_ACT` | 0 go on, as in the paper; 1 fall: the flight is over | at boot |
 //! | `UAV_RADIUS` | m | at boot |
 //! | `OBST_RADIUS`, `OBST_N`, `OBST_E`; of further obstacles `OBST2_RADIUS` ..., `OBST3_RADIUS` ... | m | at boot |
 //! | `START_N`, `START_E`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS` | m | at boot |
@@ -36,7 +37,7 @@ use crate::link::param_file::Entry;
 use crate::link::signing::Policy;
 use crate::link::splitter::Counts;
 use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
-use crate::scenario::{Action, Obstacle, Rule, Scenario};
+use crate::scenario::{Action, CollisionAction, Obstacle, Rule, Scenario};
 use crate::sim::Sim;
 use crate::units::{MAX_OBSTACLES, TxPower};
 
@@ -157,9 +158,17 @@ static OF_AUTOPILOT: &[ParamSlot] = &[
     ),
     int("DYN_WALLS", |s| f64::from(u8::from(s.dynamics.walls)), |s, v| s.dynamics.walls = v != 0.0),
     real(
-        "WIND_KICK",
-        |s| s.disturbance.kick() * s.scale.mps_per_speed(),
-        |s, v| s.disturbance.sigma_c = v / s.scale.mps_per_speed() / s.disturbance.noise_gain,
+        "WIND_GUST",
+        |s| s.disturbance.gust_std() * s.scale.mps_per_speed(),
+        |s, v| s.disturbance.sigma_c = v / s.scale.mps_per_speed() / s.disturbance.gust_scale,
+    ),
+    int(
+        "COLLIDE_ACT",
+        |s| f64::from(u8::from(s.safety.collision_action == CollisionAction::Fall)),
+        |s, v| {
+            s.safety.collision_action =
+                if v == 0.0 { CollisionAction::Continue } else { CollisionAction::Fall };
+        },
     ),
     real("UAV_RADIUS", |s| metres(s, s.uav_radius), |s, v| s.uav_radius = units(s, v)),
 ];
@@ -219,6 +228,9 @@ fn units(scenario: &Scenario, metres: f64) -> f64 {
     metres / scenario.scale.metres_per_unit
 }
 
+/// Former names, and what they are now.
+const RENAMED: [(&str, &str); 1] = [("WIND_KICK", "WIND_GUST")];
+
 /// Why a parameter of a file is not taken.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParamError {
@@ -229,6 +241,16 @@ pub enum ParamError {
         line: usize,
         /// Its name.
         name: String,
+    },
+    /// A former name.
+    #[error("line {line}: `{name}` is now {new}")]
+    Renamed {
+        /// Its line in the file, from 1.
+        line: usize,
+        /// Its former name.
+        name: String,
+        /// Its name.
+        new: &'static str,
     },
     /// Its value is out of range.
     #[error("line {line}: {name} = {value} is out of range")]
@@ -273,18 +295,34 @@ impl Vehicle {
     }
 
     /// Sets the parameters of a file; what is read only is left alone.
+    ///
+    /// Whether a place is free depends on others, which may stand below it in the file: what is refused by
+    /// itself is set together at the end.
     fn load_params(&mut self, params: &[Entry]) -> Result<(), ParamError> {
+        let (mut together, mut refused) = (self.settings.clone(), Vec::new());
         for Entry { line, name, value } in params {
             let (line, name, value) = (*line, name.clone(), *value);
             let found = [AUTOPILOT, RADIO].into_iter().flat_map(|component| self.table(component));
             let Some(param) = found.into_iter().find(|param| param.name == name) else {
-                return Err(ParamError::Unknown { line, name });
+                return Err(match RENAMED.iter().find(|(old, _)| *old == name) {
+                    Some((_, new)) => ParamError::Renamed { line, name, new },
+                    None => ParamError::Unknown { line, name },
+                });
             };
+            if param.get(&together).is_some_and(|known| known as f32 != value) {
+                param.put(&mut together, value.into());
+            }
             if !self.assign(param, value, Duration::ZERO) {
-                return Err(ParamError::Range { line, name, value });
+                refused.push((param, ParamError::Range { line, name, value }, value));
             }
         }
-        Ok(())
+        if !refused.is_empty() && is_flyable(&together) {
+            self.settings = together;
+        }
+        match refused.into_iter().find(|(param, _, value)| self.value(param) as f32 != *value) {
+            Some((_, error, _)) => Err(error),
+            None => Ok(()),
+        }
     }
 
     /// All parameters that can be set, with their present values, the radio's last.
@@ -408,10 +446,8 @@ impl Vehicle {
             Holds::Count(get) => get(&self.tally().packets) as f64,
             Holds::Setpoints => self.tally.setpoints as f64,
             Holds::RefusedSetpoints => self.tally.refused.values().sum::<u64>() as f64,
-            Holds::Of(get) | Holds::Setting(get, _) => get(&self.settings),
-            Holds::Obstacle(index, length) => {
-                let mut obstacle = self.settings.obstacles[index].clone();
-                metres(&self.settings, *length(&mut obstacle))
+            Holds::Of(_) | Holds::Setting(..) | Holds::Obstacle(..) => {
+                param.get(&self.settings).unwrap_or(f64::NAN)
             }
         }
     }
@@ -437,27 +473,48 @@ impl Vehicle {
             }
             Holds::SignRequired if value == 0.0 => self.signing.set_policy(Policy::Optional),
             Holds::SignRequired if value == 1.0 => self.signing.set_policy(Policy::Required),
-            Holds::Setting(_, set) if value >= 0.0 => self.set_setting(|s| set(s, value.into())),
-            Holds::Obstacle(index, length) if value >= 0.0 => self.set_setting(|s| {
-                *length(&mut s.obstacles[index]) = units(s, value.into());
-            }),
-            _ => {}
+            _ => {
+                let mut settings = self.settings.clone();
+                param.put(&mut settings, value.into());
+                if is_flyable(&settings) {
+                    self.settings = settings;
+                }
+            }
         }
         self.value(param) as f32 == value
     }
+}
 
-    /// Changes the settings if what comes out is a scenario.
-    fn set_setting(&mut self, set: impl FnOnce(&mut Scenario)) {
-        let mut settings = self.settings.clone();
-        set(&mut settings);
-        let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
-        if settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6) {
-            self.settings = settings;
-        }
-    }
+/// Whether settings are a scenario, in which the vehicle by itself is no faster than it can be.
+fn is_flyable(settings: &Scenario) -> bool {
+    let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
+    settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6)
 }
 
 impl ParamSlot {
+    /// Its value in a scenario, if it is one of a scenario.
+    fn get(&self, settings: &Scenario) -> Option<f64> {
+        match self.holds {
+            Holds::Of(get) | Holds::Setting(get, _) => Some(get(settings)),
+            Holds::Obstacle(index, length) => {
+                let mut obstacle = settings.obstacles[index].clone();
+                Some(metres(settings, *length(&mut obstacle)))
+            }
+            _ => None,
+        }
+    }
+
+    /// Puts a value into a scenario, if it is one of a scenario and at least 0.
+    fn put(&self, settings: &mut Scenario, value: f64) {
+        match self.holds {
+            Holds::Setting(_, set) if value >= 0.0 => set(settings, value),
+            Holds::Obstacle(index, length) if value >= 0.0 => {
+                *length(&mut settings.obstacles[index]) = units(settings, value);
+            }
+            _ => {}
+        }
+    }
+
     fn is_settable(&self) -> bool {
         matches!(
             self.holds,

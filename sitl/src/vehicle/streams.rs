@@ -136,6 +136,11 @@ impl Vehicle {
             return;
         }
         self.said.insert(kind, now);
+        self.tell_text(severity, text);
+    }
+
+    /// Says something to all peers, however often.
+    pub(super) fn tell_text(&mut self, severity: MavSeverity, text: &str) {
         self.tell_all(&dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() });
     }
 

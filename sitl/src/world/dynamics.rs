@@ -29,12 +29,12 @@ pub fn limit_speed(v: Vector2<f64>, v_max: f64) -> Vector2<f64> {
 }
 
 /// One control interval of the UAV, Eq. (30), Sec. IV-A1, in the paper's order:
-/// v' = limit(v + a_max a + kick), r' = r + v', then the box.
+/// v' = limit(v + a_max a + gust), r' = r + v', then the box.
 ///
-/// `a` is the normalised acceleration, `kick` the velocity disturbance σ w_k in units per interval.
+/// `a` is the normalised acceleration, `gust` the velocity disturbance σ w_k in units per interval.
 #[must_use]
-pub fn step(state: State, a: Vector2<f64>, kick: Vector2<f64>, dynamics: &Dynamics) -> State {
-    let v = limit_speed(state.v + dynamics.a_max * a + kick, dynamics.v_max);
+pub fn step(state: State, a: Vector2<f64>, gust: Vector2<f64>, dynamics: &Dynamics) -> State {
+    let v = limit_speed(state.v + dynamics.a_max * a + gust, dynamics.v_max);
     let moved = State { r: state.r + v, v };
     if dynamics.walls { contain(moved) } else { moved }
 }

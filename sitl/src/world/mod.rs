@@ -34,9 +34,9 @@ impl World {
         Self { uav: State::at_rest(scenario.start), obstacles: obstacles.collect() }
     }
 
-    /// One control interval: normalised acceleration `a`, velocity disturbance `kick`.
-    pub fn step(&mut self, a: Vector2<f64>, kick: Vector2<f64>, scenario: &Scenario) {
-        self.uav = dynamics::step(self.uav, a, kick, &scenario.dynamics);
+    /// One control interval: normalised acceleration `a`, velocity disturbance `gust`.
+    pub fn step(&mut self, a: Vector2<f64>, gust: Vector2<f64>, scenario: &Scenario) {
+        self.uav = dynamics::step(self.uav, a, gust, &scenario.dynamics);
         self.step_obstacles(scenario);
     }
 

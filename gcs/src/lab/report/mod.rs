@@ -33,8 +33,8 @@ const SWEEPS: [(&str, &str, &str); 3] = [
 ];
 
 /// Why the paper's largest σ_c cannot be meant literally.
-const LITERAL: &str = "Read literally, σ_c = 0.01 kicks the speed by 0.01 in each axis and interval. The largest acceleration is \
-     0.0035: what one kick does takes three intervals of full thrust to undo, and three more kicks come \
+const LITERAL: &str = "Read literally, σ_c = 0.01 is a gust of 0.01 on the speed in each axis and interval. The largest acceleration is \
+     0.0035: what one gust does takes three intervals of full thrust to undo, and three more gusts come \
      meanwhile. The speed wanders through its whole range of ±0.04 whatever is commanded, so no controller can \
      stop at the goal or keep clear of the obstacle, not the oracle either, which knows the equations, and not \
      a dynamic programme that knows the noise as well (calibration study: d_f 0.31). Terminal error, risk and \

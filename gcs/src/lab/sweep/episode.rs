@@ -129,21 +129,32 @@ mod tests {
     #[test]
     fn a_line_that_is_none_says_why() {
         let error = |line: &str| crpl_sitl::program::terminal::one_line(&read(line).unwrap_err());
-        assert_eq!(error("2.5,rcc,1"), "line 2: 3 columns instead of 11");
-        assert_eq!(
-            error("2.5,nobody,1,0,0,0,0,0,true,true,true"),
-            "line 2: no controller is called \"nobody\""
-        );
-        assert_eq!(error("2.5,rcc,1,0,x,0,0,0,true,true,true"), "line 2: e_comm = \"x\"");
+        let columns = SweepEpisode::head().count();
+        assert_eq!(error("2.5,rcc,1"), format!("line 2: 3 columns instead of {columns}"));
+        let line = |name: &str, text: &str| {
+            let of = |column| match column {
+                column if column == name => text,
+                "controller" => "rcc",
+                column if FlightOutcome::ALL.iter().any(|outcome| outcome.key() == column) => "true",
+                _ => "0",
+            };
+            SweepEpisode::head().map(of).collect::<Vec<_>>().join(",")
+        };
+        assert!(read(&line("", "")).is_ok());
+        assert_eq!(error(&line("controller", "nobody")), "line 2: no controller is called \"nobody\"");
+        assert_eq!(error(&line("e_comm", "x")), "line 2: e_comm = \"x\"");
     }
 
     proptest! {
         #[test]
         fn a_line_reads_back_as_the_same_bits(
-            x in proptest::num::f64::NORMAL, d_f in 0.0..2.0f64, e_ctrl in 0.0..1e5f64,
-            p_coll_max in 0.0..1.0f64, seed: u64, t_out in 0..101u32, reached: bool,
+            x in proptest::num::f64::NORMAL, seed: u64, reached: bool,
+            values in prop::collection::vec(0.0..1e5f64, Metric::ALL.len()),
         ) {
-            let metrics = [d_f, 148.0, e_ctrl, p_coll_max, t_out.into()].into();
+            let metrics = PerMetric::from_fn(|m| match m.is_count() {
+                true => values[m as usize].round(),
+                false => values[m as usize],
+            });
             let outcomes = [reached, !reached, false];
             let episode = SweepEpisode { x, controller: Controller::Ucc, seed, metrics, outcomes };
             let line = String::from_utf8(episode.line()).unwrap();

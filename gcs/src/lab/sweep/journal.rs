@@ -77,10 +77,12 @@ fn lock(file: &File, path: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crpl_sitl::sim::metric::PerMetric;
+
     use crate::station::pilot::Controller;
 
     fn episode(seed: u64) -> SweepEpisode {
-        let metrics = [0.1 / (seed + 1) as f64, 100.0, 9000.0, 0.03, seed as f64].into();
+        let metrics = PerMetric::from_fn(|m| 0.1 * (m as usize + 1) as f64 / (seed + 1) as f64);
         let outcomes = [true, true, false];
         SweepEpisode { x: 2.5, controller: Controller::Rcc, seed, metrics, outcomes }
     }
@@ -122,7 +124,8 @@ mod tests {
         };
         let said =
             error(&[&episode::line(SweepEpisode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
-        assert!(said.ends_with("journal.csv: line 3: 1 columns instead of 11"), "{said}");
+        let columns = SweepEpisode::head().count();
+        assert!(said.ends_with(&format!("journal.csv: line 3: 1 columns instead of {columns}")), "{said}");
         assert!(error(b"a,b\n").ends_with("line 1 is not the head of a table of episodes"));
     }
 }

@@ -155,15 +155,18 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         rows.first().map_or(0, |r| r.episodes),
         plan.first_seed
     );
-    let head = |out: &mut String, width: fn(Metric) -> usize, tail: &str| {
+    let head = |out: &mut String,
+                metrics: &mut dyn Iterator<Item = Metric>,
+                width: fn(Metric) -> usize,
+                tail: &str| {
         let _ = write!(out, "{:>8}  {:<18}", "x", "controller");
-        for m in Metric::ALL {
+        for m in metrics {
             let _ = write!(out, "{:>width$}", m.key(), width = width(m));
         }
         let _ = writeln!(out, "{tail}");
     };
     let [reached, below] = SHOWN.map(FlightOutcome::key);
-    head(&mut out, mean_width, &format!("{reached:>10}{below:>8}"));
+    head(&mut out, &mut Metric::ALL.into_iter(), mean_width, &format!("{reached:>10}{below:>8}"));
     for row in rows {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
         for (m, mean) in row.means.iter() {
@@ -177,12 +180,12 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         out.push_str(
             "\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n",
         );
-        head(&mut out, |_| 22, "");
+        head(&mut out, &mut Metric::of_paper(), |_| 22, "");
     }
     for row in others() {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
-        for (_, ratio) in row.ratio_to_crpl.iter().flat_map(PerMetric::iter) {
-            let _ = write!(out, "{:>22}", ratio_cell(ratio));
+        for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::of_paper().map(|m| ratios[m])) {
+            let _ = write!(out, "{:>22}", ratio_cell(&ratio));
         }
         out.push('\n');
     }

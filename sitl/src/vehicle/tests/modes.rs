@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::*;
+use crate::scenario::CollisionAction;
 use crate::vehicle::modes::Mode;
 
 /// Result, and the text if there is one.
@@ -355,4 +356,54 @@ mod failsafes {
         assert!(!pass(&mut bench, 120).iter().any(|text| text.contains("station")));
         assert!(pass(&mut bench, 10).iter().any(|text| text.contains("failsafe: no station for 5 s")));
     }
+}
+
+/// A vehicle beside the obstacle that flies east by itself, through it; gives what is said with its severity.
+fn through_the_obstacle(action: CollisionAction, intervals: usize) -> (Bench, Vec<(String, MavSeverity)>) {
+    let mut scenario = Scenario { start: Vector2::new(0.3, 0.45), ..Scenario::default() };
+    scenario.safety.collision_action = action;
+    let mut bench = Bench::with(scenario, None);
+    bench.hello();
+    bench.send(&setpoint(0, 10.0));
+    let east = dialect::SET_POSITION_TARGET_LOCAL_NED_DATA { afy: 10.0, ..setpoint(0, 0.0) };
+    bench.send(&dialect::SET_POSITION_TARGET_LOCAL_NED_DATA { time_boot_ms: 400, ..east });
+    let mut said = Vec::new();
+    for _ in 0..intervals {
+        bench.vehicle.advance(bench.now);
+        said.extend(bench.received().iter().filter_map(|packet| match packet.message() {
+            Some(MavMessage::STATUSTEXT(text)) => {
+                Some((text.text.to_str().unwrap().to_owned(), text.severity))
+            }
+            _ => None,
+        }));
+    }
+    (bench, said)
+}
+
+#[test]
+fn a_collision_and_the_edge_are_said_once_a_contact_however_fast_time_passes() {
+    let (bench, said) = through_the_obstacle(CollisionAction::Continue, 60);
+    let severities = |word: &str| {
+        said.iter().filter(|(text, _)| text.starts_with(word)).map(|(_, s)| *s).collect::<Vec<_>>()
+    };
+    assert_eq!(severities("collision with obstacle 1 before tick "), [MavSeverity::MAV_SEVERITY_CRITICAL]);
+    assert_eq!(severities("edge of the field before tick "), [MavSeverity::MAV_SEVERITY_WARNING]);
+    let tally = bench.vehicle.tally();
+    assert_eq!((tally.collisions, tally.edge_contacts), (1, 1));
+    assert!(tally.to_string().ends_with("; 1 collisions, 1 edge contacts"), "{tally}");
+    assert!(bench.vehicle.conduct.armed && !bench.vehicle.over());
+}
+
+#[test]
+fn a_vehicle_that_falls_at_a_collision_disarms_and_its_flight_is_over_on_the_ground() {
+    let (mut bench, said) = through_the_obstacle(CollisionAction::Fall, 40);
+    let texts: Vec<&str> =
+        said.iter().map(|(text, _)| text.as_str()).filter(|text| !text.starts_with("no s")).collect();
+    let at = texts.iter().position(|text| text.starts_with("collision")).unwrap();
+    let [fall, crash, over, ..] = texts[at + 1..] else { panic!("{texts:?}") };
+    assert_eq!(fall, "motors off in the air: falling");
+    assert!(crash.starts_with("crashed at ") && over.starts_with("flight over after "), "{texts:?}");
+    assert!(over.ends_with(" ticks: collision"), "{over}");
+    assert!(bench.vehicle.over() && bench.vehicle.height.on_ground());
+    assert_eq!(heartbeat(&mut bench), (4, false, dialect::MavState::MAV_STATE_EMERGENCY));
 }

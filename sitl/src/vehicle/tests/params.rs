@@ -209,3 +209,36 @@ fn counters_can_be_read() {
     assert_eq!(read(&mut bench, -1, "STAT_SETP_REFD")[0].2, 1.0);
     assert_eq!(read(&mut bench, -1, "STAT_RX_FRAMES")[0].2, 5.0);
 }
+
+fn boot(text: &str) -> Result<Vehicle, ParamError> {
+    let file = crate::link::param_file::parse(text).unwrap();
+    Vehicle::boot(&Scenario::default(), 1, 7, None, &file)
+}
+
+#[test]
+fn a_start_inside_the_obstacle_is_refused_in_flight_and_at_boot() {
+    let mut bench = Bench::new();
+    bench.hello();
+    // The start is north 250, the obstacle's centre north 225, east 250.
+    assert_eq!(set(&mut bench, "START_E", 250.0)[0].2, 50.0);
+    assert_eq!(set(&mut bench, "START_E", 150.0)[0].2, 150.0);
+    let error = boot("GOAL_N 225\nGOAL_E 250\n").unwrap_err().to_string();
+    assert_eq!(error, "line 2: GOAL_E = 250 is out of range");
+}
+
+#[test]
+fn a_file_that_swaps_start_and_obstacle_is_taken_whole() {
+    let vehicle = boot("OBST_N 250\nOBST_E 50\nSTART_N 225\nSTART_E 250\n").unwrap();
+    let scenario = vehicle.sim.scenario();
+    assert_eq!((scenario.start, scenario.obstacle().position), ([0.5, 0.45].into(), [0.1, 0.5].into()));
+    // What cannot be at all is refused beside it.
+    let error = boot("OBST_N 250\nOBST_E 50\nSTART_N 225\nSTART_E 250\nFS_SETP_ACT 7\n").err().unwrap();
+    assert_eq!(error.to_string(), "line 5: FS_SETP_ACT = 7 is out of range");
+}
+
+#[test]
+fn what_follows_a_collision_is_a_parameter() {
+    let vehicle = boot("COLLIDE_ACT 1\n").unwrap();
+    assert_eq!(vehicle.sim.scenario().safety.collision_action, crate::scenario::CollisionAction::Fall);
+    assert_eq!(boot("WIND_KICK 1\n").err().unwrap().to_string(), "line 1: `WIND_KICK` is now WIND_GUST");
+}
