@@ -79,7 +79,7 @@ impl PolicyScope {
             }
         }
         let bounds = [
-            ("gusts' standard deviation", self.gust_std, here.disturbance.kick()),
+            ("gusts' standard deviation", self.gust_std, here.disturbance.gust_std()),
             ("SNR that a packet needs", required_snr(&self.scenario), required_snr(here)),
         ];
         for (key, most, needed) in bounds {
@@ -110,7 +110,7 @@ pub fn fingerprint(scenario: &Scenario) -> String {
     for (key, value) in leaves(scenario) {
         text += &format!("{key} = {};", narrow(&value));
     }
-    text += &format!("{} {}", required_snr(scenario) as f32, scenario.disturbance.kick() as f32);
+    text += &format!("{} {}", required_snr(scenario) as f32, scenario.disturbance.gust_std() as f32);
     files::fingerprint(text.as_bytes())
 }
 
