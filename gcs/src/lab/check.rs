@@ -10,13 +10,14 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use crpl_model::numeric::statistics::{Interval, wilson};
 use crpl_model::planning::config::OptimiseConfig;
-use crpl_model::planning::plant::Objective;
 use crpl_model::planning::policy::Policies;
+use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::terminal::positive;
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
+use crpl_sitl::units::Snr;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +38,7 @@ pub struct Check {
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     episodes: u64,
     /// Standard deviation of the gusts, in units per interval, if the scenario has none
-    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_kick, value_parser = positive)]
+    #[arg(long, value_name = "X", default_value_t = OptimiseConfig::default().check_gust_std, value_parser = positive)]
     gust_std: f64,
     /// First of the consecutive seeds
     #[arg(long, value_name = "N", default_value_t = FIRST_CHECK)]
@@ -57,17 +58,13 @@ pub struct ConstraintRate {
     pub share: f64,
     /// Its 95 % Wilson interval.
     pub ci: Interval,
-    /// 1 - δ, the share that is needed.
+    /// 1 - δ, or the share that is needed.
     pub needed: f64,
 }
 
 impl ConstraintRate {
-    fn of(kept: usize, flights: usize, tolerance: f64) -> Self {
-        Self {
-            share: kept as f64 / flights.max(1) as f64,
-            ci: wilson(kept, flights),
-            needed: 1.0 - tolerance,
-        }
+    fn of(kept: usize, flights: usize, needed: f64) -> Self {
+        Self { share: kept as f64 / flights.max(1) as f64, ci: wilson(kept, flights), needed }
     }
 
     /// Whether the low end of the interval reaches what is needed.
@@ -89,8 +86,12 @@ pub struct ConstraintCheck {
     pub gust_std: f64,
     /// Flights without a collision.
     pub safe: ConstraintRate,
-    /// Flights whose SNR never fell below γ_min.
+    /// Flights whose SNR never fell below what a packet needs, max(γ_min, 2^(L/(B Δt)) - 1).
     pub comm: ConstraintRate,
+    /// Flights that ended in the goal region.
+    pub reached: ConstraintRate,
+    /// Mean number of intervals in outage.
+    pub t_out: f64,
     /// Mean terminal distance to the goal, units.
     pub d_f: f64,
 }
@@ -100,13 +101,9 @@ impl ConstraintCheck {
     ///
     /// # Errors
     /// A flight without an interval.
-    pub fn measure(
-        contender: &Contender,
-        objective: &Objective,
-        flights: usize,
-        first_seed: u64,
-    ) -> Result<Self> {
+    pub fn measure(contender: &Contender, reached: f64, flights: usize, first_seed: u64) -> Result<Self> {
         let scenario = contender.scenario();
+        let safety = &scenario.safety;
         let ends: Vec<End> = (0..flights as u64)
             .into_par_iter()
             .map(|n| End::of(&contender.records(first_seed + n), scenario))
@@ -116,23 +113,42 @@ impl ConstraintCheck {
             flights,
             first_seed,
             gust_std: scenario.disturbance.gust_std(),
-            safe: ConstraintRate::of(count(|end| end.clear), flights, objective.collision_tolerance),
-            comm: ConstraintRate::of(count(|end| end.connected), flights, objective.outage_tolerance),
+            safe: ConstraintRate::of(count(|end| end.clear), flights, 1.0 - safety.collision_tolerance),
+            comm: ConstraintRate::of(count(|end| end.connected), flights, 1.0 - safety.outage_tolerance),
+            reached: ConstraintRate::of(count(|end| end.reached), flights, reached),
+            t_out: ends.iter().map(|end| end.outages as f64).sum::<f64>() / flights.max(1) as f64,
             d_f: ends.iter().map(|end| end.d_f).sum::<f64>() / flights.max(1) as f64,
         })
     }
 
-    /// Whether both constraints hold.
+    /// The rates by name. Of the constraints the low end of the interval must reach what is needed, of `reached`
+    /// the share itself.
+    fn rates(&self) -> [(&'static str, &ConstraintRate, bool); 3] {
+        let reached = self.reached.share >= self.reached.needed;
+        [
+            ("P_safe", &self.safe, self.safe.holds()),
+            ("P_comm", &self.comm, self.comm.holds()),
+            ("reached", &self.reached, reached),
+        ]
+    }
+
+    /// The smallest share over what is needed: how far from passing a check is.
+    #[must_use]
+    pub fn least(&self) -> f64 {
+        self.rates().iter().map(|(_, rate, _)| rate.share / rate.needed).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether both constraints hold, and enough flights reach the goal.
     #[must_use]
     pub fn holds(&self) -> bool {
-        self.safe.holds() && self.comm.holds()
+        self.rates().iter().all(|(.., holds)| *holds)
     }
 
     /// # Errors
     /// Names the constraint that the flights did not keep.
     pub fn verdict(&self) -> Result<()> {
-        for (what, rate) in [("P_safe", &self.safe), ("P_comm", &self.comm)] {
-            if !rate.holds() {
+        for (what, rate, holds) in self.rates() {
+            if !holds {
                 bail!(
                     "the policy does not ship: {what} measured in {} flights is {:.4} (95 % interval from \
                      {:.4}), needed {}",
@@ -149,10 +165,10 @@ impl ConstraintCheck {
 
 impl std::fmt::Display for ConstraintCheck {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        for (what, rate) in [("P_safe", &self.safe), ("P_comm", &self.comm)] {
+        for (what, rate, _) in self.rates() {
             writeln!(
                 f,
-                "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, gusts {}; 1 - delta = {}",
+                "{what} {:.4} [{:.4}, {:.4}] in {} closed-loop flights, gusts {}; needed {}",
                 rate.share, rate.ci[0], rate.ci[1], self.flights, self.gust_std, rate.needed
             )?;
         }
@@ -164,20 +180,28 @@ impl std::fmt::Display for ConstraintCheck {
 struct End {
     clear: bool,
     connected: bool,
+    reached: bool,
+    outages: usize,
     d_f: f64,
 }
 
 impl End {
     fn of(records: &[Record], scenario: &Scenario) -> Self {
-        let least_db = 10.0 * scenario.channel.snr_min.log10();
+        let needed = scope::required_snr(scenario);
+        let d_f = records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm());
         Self {
             // p_coll exceeds one half exactly where the clearance is below d_min.
             clear: records.iter().all(|r| r.p_coll <= 0.5),
-            connected: records.iter().all(|r| f64::from(r.snr_db) >= least_db),
-            d_f: records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm()),
+            connected: records.iter().all(|r| Snr::from_db(f64::from(r.snr_db)).0 >= needed * (1.0 - F32)),
+            reached: d_f <= scenario.goal_radius,
+            outages: records.iter().filter(|r| r.outage).count(),
+            d_f,
         }
     }
 }
+
+/// What an SNR in dB loses on the wire, relative.
+const F32: f64 = 1e-6;
 
 /// Runs `gcs check`.
 ///
@@ -188,8 +212,8 @@ pub fn run(args: &Check) -> Result<()> {
     one_obstacle(&scenario)?;
     let models = args.models.load()?;
     let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.gust_std))?;
-    let flights = usize::try_from(args.episodes)?;
-    let check = ConstraintCheck::measure(&contender, &Objective::default(), flights, args.first_seed)?;
+    let (flights, config) = (usize::try_from(args.episodes)?, OptimiseConfig::default());
+    let check = ConstraintCheck::measure(&contender, config.check_reached, flights, args.first_seed)?;
     if args.json {
         println!("{}", serde_json::to_string(&check)?);
     } else {
@@ -220,8 +244,8 @@ pub fn after(
     policies: &Policies,
     scenario: &Scenario,
 ) -> Result<ConstraintCheck> {
-    let contender = Contender::with_policies(world, policies, &gusty(scenario, config.check_kick));
-    ConstraintCheck::measure(&contender, &config.objective, config.check_flights, FIRST_CHECK)
+    let contender = Contender::with_policies(world, policies, &gusty(scenario, config.check_gust_std));
+    ConstraintCheck::measure(&contender, config.check_reached, config.check_flights, FIRST_CHECK)
 }
 
 /// The scenario with its own gusts, or with gusts of standard deviation `gust_std` if it has none.

@@ -7,6 +7,7 @@ pub mod figures;
 pub mod optimise;
 pub mod parquet;
 pub mod policies;
+pub mod random;
 pub mod report;
 pub mod run_folder;
 pub mod summary;

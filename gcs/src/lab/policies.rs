@@ -64,7 +64,7 @@ fn wanted(refusal: &anyhow::Error) -> Result<bool> {
 fn optimised(models: &mut Models, scenario: &Scenario) -> Result<PathBuf> {
     let config = OptimiseConfig::default();
     let mut watch = optimise::Show::unsaved(&config);
-    let made = optimise::optimise_for(&models.world, scenario, &config, SEED, &mut watch)?;
+    let made = optimise::optimise_for(&models.world, scenario, &config, SEED, (0, None), &mut watch)?;
     made.flown.verdict().with_context(|| format!("optimising for {:?}", scenario.name))?;
     let dir = models.cache.get_or_insert_with(|| FALLBACK.into()).clone();
     let path = dir.join(models.cache_name(scenario)?);

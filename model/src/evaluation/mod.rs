@@ -212,7 +212,7 @@ fn judged(
     let mut judged = Judged::default();
     for ((scene, station), (c, u)) in scenes.iter().zip(seen) {
         let label = scene.label(*station, scenario, floor);
-        let (heads, c, u) = (model.station_heads(*station), narrow(c), narrow(u));
+        let (heads, c, u) = (model.heads.at(*station, &model.probe), narrow(c), narrow(u));
         judged.predicted.push(f64::from(heads.collision(c, u)));
         judged.truth.push(label.collision);
         judged.gain_db.push(decibel * (f64::from(heads.log_gain(c, u)) - label.log_gain).abs());

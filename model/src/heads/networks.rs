@@ -8,6 +8,7 @@
 //! nothing else. Its network reads just these ([`SightLine`]); how the gain falls with them it learns.
 //! A network of the same size on the raw (y_c, y_u, s_BS) stays at 0.43 dB rms, this one at 0.1 dB.
 
+use crpl_sitl::Scenario;
 use nalgebra::Vector2;
 
 use crate::encoder::probe::Probe;
@@ -118,6 +119,41 @@ pub struct StationHeads {
 }
 
 impl StationHeads {
+    /// The heads for the radii, d_min, τ_c and G0 of `scenario`. The collision probability depends on the
+    /// distance of the centres alone: logit = (d_min + R_u + R_o - |r - r_u|)/τ_c. So the logit of the training
+    /// data's values gives that of any others, and G0 is a factor of the gain.
+    #[must_use]
+    pub fn scaled_to(mut self, scenario: &Scenario) -> Self {
+        let trained = Scenario::default();
+        let reach = |s: &Scenario| s.safety.d_min + s.uav_radius + s.obstacle().radius;
+        let factor = (trained.safety.softness / scenario.safety.softness) as f32;
+        let shift = ((reach(scenario) - reach(&trained)) / scenario.safety.softness) as f32;
+        // Not touched at all in the world of the training data, to the last bit.
+        if let Some(last) = self.collision.layers.last_mut().filter(|_| factor != 1.0 || shift != 0.0) {
+            last.w.iter_mut().for_each(|w| *w *= factor);
+            last.b.iter_mut().for_each(|b| *b = b.mul_add(factor, shift));
+        }
+        let louder = (scenario.channel.reference_gain / trained.channel.reference_gain).ln() as f32;
+        if let Some(last) = self.gain.layers.last_mut().filter(|_| louder != 0.0) {
+            last.b.iter_mut().for_each(|b| *b += louder);
+        }
+        self
+    }
+
+    /// Keys in which the shape of `scenario`'s channel differs from that of the training data: the channel head
+    /// says nothing there.
+    #[must_use]
+    pub fn untrained(scenario: &Scenario) -> Vec<&'static str> {
+        let (trained, c) = (Scenario::default(), &scenario.channel);
+        let same = [
+            ("obstacle[0].radius", scenario.obstacle().radius == trained.obstacle().radius),
+            ("channel.path_loss_exponent", c.path_loss_exponent == trained.channel.path_loss_exponent),
+            ("channel.nlos_attenuation", c.nlos_attenuation == trained.channel.nlos_attenuation),
+            ("channel.blockage_softness", c.blockage_softness == trained.channel.blockage_softness),
+        ];
+        same.into_iter().filter(|(_, same)| !same).map(|(key, _)| key).collect()
+    }
+
     /// Collision probability in (0, 1).
     #[must_use]
     pub fn collision(&self, y_c: [f32; 2], y_u: [f32; 2]) -> f32 {

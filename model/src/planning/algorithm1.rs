@@ -14,7 +14,7 @@ use crate::numeric::kernel::LANES;
 use crate::numeric::mlp::Mlp;
 use crate::planning::config::{OptimiseConfig, OptimiseError};
 use crate::planning::objective;
-use crate::planning::plant::{Execution, ObjectiveEstimate, RolloutOptions, Scores};
+use crate::planning::plant::{Execution, Objective, ObjectiveEstimate, RolloutOptions, Scores};
 use crate::planning::policy::Policies;
 use crate::planning::power::{Sample, executed_power, power_gradient};
 use crate::planning::problem::PlanningProblem;
@@ -36,10 +36,10 @@ struct OptimisePhase {
 pub enum PassingSide {
     /// Before the two candidates part.
     Free,
-    /// The candidate that passes below the obstacle (smaller y).
-    Below,
-    /// The candidate that passes above.
-    Above,
+    /// The candidate that passes with the obstacle on its left, seen from start to goal.
+    Right,
+    /// The candidate that passes with the obstacle on its right.
+    Left,
     /// The chosen one.
     Chosen,
 }
@@ -50,8 +50,8 @@ pub enum PassingSide {
 pub struct OptimiseProgress {
     phase: usize,
     free: Mlp,
-    below: Option<Mlp>,
-    above: Option<Mlp>,
+    right: Option<Mlp>,
+    left: Option<Mlp>,
     chosen: Option<Mlp>,
     comparison: Option<Comparison>,
 }
@@ -69,11 +69,11 @@ impl OptimiseProgress {
 pub struct Comparison {
     /// Rollouts.
     pub rollouts: usize,
-    /// The way below the obstacle.
-    pub below: ObjectiveEstimate,
-    /// The way above.
-    pub above: ObjectiveEstimate,
-    /// J(below) - J(above); negative chooses below.
+    /// The way right of the obstacle, seen from start to goal.
+    pub right: ObjectiveEstimate,
+    /// The way left of it.
+    pub left: ObjectiveEstimate,
+    /// J(right) - J(left); negative chooses right where both are feasible.
     pub margin: f64,
     /// Standard error of the margin (paired, first order in the barrier).
     pub margin_se: f64,
@@ -135,8 +135,8 @@ fn phases(problem: &PlanningProblem, config: &OptimiseConfig) -> Vec<OptimisePha
     };
     let mut all = vec![phase("no obstacle".into(), PassingSide::Free, problem.obstacle, None, free)];
     for (side, name, places) in [
-        (PassingSide::Below, "below", &problem.displaced[0]),
-        (PassingSide::Above, "above", &problem.displaced[1]),
+        (PassingSide::Right, "right", &problem.displaced[0]),
+        (PassingSide::Left, "left", &problem.displaced[1]),
     ] {
         for (d, y_u) in config.displacements.iter().zip(places) {
             all.push(phase(format!("{name}, obstacle {d} away"), side, *y_u, Some(1.0), each));
@@ -153,8 +153,8 @@ fn phases(problem: &PlanningProblem, config: &OptimiseConfig) -> Vec<OptimisePha
 /// Runs Algorithm 1 from the start or from saved `progress`.
 ///
 /// # Errors
-/// If a number of `config` is out of range, no candidate is feasible, the result violates a chance constraint,
-/// or `watch` cannot save.
+/// If a number of `config` is out of range, or `watch` cannot save. A result that violates a chance constraint
+/// is none: flights in closed loop tell.
 pub fn optimise(
     problem: &PlanningProblem,
     config: &OptimiseConfig,
@@ -168,8 +168,8 @@ pub fn optimise(
     let mut progress = progress.unwrap_or(OptimiseProgress {
         phase: 0,
         free: untrained.motion,
-        below: None,
-        above: None,
+        right: None,
+        left: None,
         chosen: None,
         comparison: None,
     });
@@ -184,8 +184,8 @@ pub fn optimise(
         let free = &progress.free;
         let net = match phase.side {
             PassingSide::Free => &mut progress.free,
-            PassingSide::Below => progress.below.get_or_insert_with(|| free.clone()),
-            PassingSide::Above => progress.above.get_or_insert_with(|| free.clone()),
+            PassingSide::Right => progress.right.get_or_insert_with(|| free.clone()),
+            PassingSide::Left => progress.left.get_or_insert_with(|| free.clone()),
             PassingSide::Chosen => progress
                 .chosen
                 .as_mut()
@@ -201,6 +201,42 @@ pub fn optimise(
     finish(problem, config, &noise, motion, untrained.power, comparison, watch)
 }
 
+/// Windows of iterations, by which a phase tells that it goes no further.
+struct Windows {
+    length: usize,
+    tolerance: f64,
+    j: Vec<f64>,
+    before: Option<(f64, f64)>,
+}
+
+impl Windows {
+    fn new(config: &OptimiseConfig) -> Self {
+        Self { length: config.averaged_iterations, tolerance: config.tolerance, j: Vec::new(), before: None }
+    }
+
+    /// Takes the J of one more iteration; whether a window has just begun.
+    fn begins(&self) -> bool {
+        self.j.is_empty()
+    }
+
+    /// Takes the J of one more iteration, and tells at the end of a window whether the phase is over.
+    fn is_over(&mut self, j: f64) -> bool {
+        self.j.push(j);
+        if self.j.len() < self.length {
+            return false;
+        }
+        let n = self.length as f64;
+        let mean = self.j.iter().sum::<f64>() / n;
+        let variance = self.j.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0) / n;
+        self.j.clear();
+        let over = self.before.is_some_and(|(before, its)| {
+            before - mean < (self.tolerance * before.abs()).max((variance + its).sqrt())
+        });
+        self.before = Some((mean, variance));
+        over
+    }
+}
+
 /// Iterations of one phase.
 fn run_phase(
     problem: &PlanningProblem,
@@ -213,96 +249,110 @@ fn run_phase(
 ) {
     let mut adam = Adam::of(net, Betas::SLOW);
     let options = RolloutOptions { eta: phase.eta, power: 4.0, execution: Execution::Nearest };
+    let o = problem.objective(&config.objective, config.snr_headroom);
     // The short stretches past a displaced obstacle only lead the way: averaging would hold them back.
-    let averaged =
-        if phase.iterations >= 4 * config.averaged_iterations { config.averaged_iterations } else { 1 };
-    let first_averaged = phase.iterations.saturating_sub(averaged.max(1));
+    let is_short = phase.iterations < 4 * config.averaged_iterations;
+    let mut windows = Windows::new(config);
     let mut mean = WeightMean::default();
     for i in 0..phase.iterations {
         let index = (number << 20) | i as u64;
         let draws =
             problem.draws(noise, Stream::Batches, index, config.rollouts, phase.obstacle, config.horizon);
-        let (estimate, grad) = objective::gradient(&problem.plant, &config.objective, options, net, &draws);
+        let (estimate, grad) = objective::gradient(&problem.plant, &o, options, net, &draws);
         let norm = adam.descend(net, &grad, config.gradient_clip, config.learning_rate);
-        if i >= first_averaged {
-            mean.add(net);
-        }
         watch.iteration(&phase.name, i + 1, phase.iterations, &estimate, norm);
+        if is_short {
+            continue;
+        }
+        if windows.begins() && phase.iterations - i >= config.averaged_iterations {
+            mean = WeightMean::default();
+        }
+        mean.add(net);
+        if windows.is_over(estimate.j) {
+            break;
+        }
     }
     if let Some(mean) = mean.net() {
         *net = mean;
     }
 }
 
-/// Measures a motion policy at maximum power on common random rollouts of the evaluation stream.
-#[must_use]
-pub fn measure(
+/// Rollouts of one portion of a measurement.
+const PORTION: usize = 4096;
+
+/// Measures a motion policy at maximum power on portion `index` of the common random rollouts.
+fn measure(
     problem: &PlanningProblem,
     config: &OptimiseConfig,
     noise: &Noise,
     motion: &Mlp,
-    eta: f64,
-) -> (ObjectiveEstimate, Scores) {
-    let options = RolloutOptions { eta: Some(eta), power: 4.0, execution: Execution::Nearest };
-    // In portions, so that 65,536 rollouts need no more memory than 4,096.
-    let portion = config.comparison_rollouts.min(4096);
-    let mut all = Scores::default();
-    for index in 0..(config.comparison_rollouts.div_ceil(portion)) as u64 {
-        let draws =
-            problem.draws(noise, Stream::Evaluation, index, portion, problem.obstacle, config.horizon);
-        let (_, scores) = objective::evaluate(&problem.plant, &config.objective, options, motion, &draws);
-        all.cost.extend(scores.cost);
-        all.safe.extend(scores.safe);
-        all.comm.extend(scores.comm);
-    }
-    (objective::estimate(&config.objective, options, &all), all)
+    index: u64,
+    all: &mut Scores,
+) {
+    let options = RolloutOptions { eta: None, power: 4.0, execution: Execution::Nearest };
+    let portion = config.comparison_rollouts.min(PORTION);
+    let draws = problem.draws(noise, Stream::Evaluation, index, portion, problem.obstacle, config.horizon);
+    let o = problem.objective(&config.objective, config.snr_headroom);
+    let (_, scores) = objective::evaluate(&problem.plant, &o, options, motion, &draws);
+    all.cost.extend(scores.cost);
+    all.safe.extend(scores.safe);
+    all.comm.extend(scores.comm);
 }
 
-/// Keeps the feasible candidate with the smaller J at η = 1.
+/// The estimate of J_η from the scores of [`measure`].
+fn estimate(o: &Objective, eta: f64, scores: &Scores) -> ObjectiveEstimate {
+    let options = RolloutOptions { eta: Some(eta), power: 4.0, execution: Execution::Nearest };
+    objective::estimate(o, options, scores)
+}
+
+/// Standard errors of the margin at which the comparison ends early.
+const CLEAR: f64 = 4.0;
+
+/// Keeps the feasible candidate with the smaller J at η = 1. Where neither is feasible yet, J tells which is
+/// nearer to it.
 fn choose(
     problem: &PlanningProblem,
     config: &OptimiseConfig,
     noise: &Noise,
     progress: &mut OptimiseProgress,
 ) -> Result<(), OptimiseError> {
-    let (Some(below), Some(above)) = (&progress.below, &progress.above) else {
+    let (Some(right), Some(left)) = (&progress.right, &progress.left) else {
         return Err(OptimiseError::Progress("saved progress lacks a candidate".into()));
     };
-    let (b, b_scores) = measure(problem, config, noise, below, 1.0);
-    let (a, a_scores) = measure(problem, config, noise, above, 1.0);
-    let o = &config.objective;
+    let o = problem.objective(&config.objective, config.snr_headroom);
+    let mut scores = [Scores::default(), Scores::default()];
+    let (r, l, margin, margin_se) = loop {
+        let index = (scores[0].cost.len() / PORTION) as u64;
+        for (net, scores) in [right, left].into_iter().zip(&mut scores) {
+            measure(problem, config, noise, net, index, scores);
+        }
+        let [r, l] = [0, 1].map(|n| estimate(&o, 1.0, &scores[n]));
+        let (ir, il) =
+            (objective::influence(&o, 1.0, &r, &scores[0]), objective::influence(&o, 1.0, &l, &scores[1]));
+        let n = ir.len() as f64;
+        let paired: Vec<f64> = ir.iter().zip(&il).map(|(r, l)| r - l).collect();
+        let mean = paired.iter().sum::<f64>() / n;
+        let variance = paired.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        let (margin, se) = (r.j - l.j, (variance / n).sqrt());
+        if margin.abs() >= CLEAR * se || scores[0].cost.len() >= config.comparison_rollouts {
+            break (r, l, margin, se);
+        }
+    };
     let feasible =
         |e: &ObjectiveEstimate| e.p_safe > 1.0 - o.collision_tolerance && e.p_comm > 1.0 - o.outage_tolerance;
-    let chosen = match (feasible(&b), feasible(&a)) {
-        (true, true) => {
-            if b.j <= a.j {
-                PassingSide::Below
-            } else {
-                PassingSide::Above
-            }
-        }
-        (true, false) => PassingSide::Below,
-        (false, true) => PassingSide::Above,
-        (false, false) => return Err(OptimiseError::Infeasible([b, a])),
+    let chosen = match (feasible(&r), feasible(&l)) {
+        (true, false) => PassingSide::Right,
+        (false, true) => PassingSide::Left,
+        _ if r.j <= l.j => PassingSide::Right,
+        _ => PassingSide::Left,
     };
-    let (ib, ia) = (objective::influence(o, 1.0, &b, &b_scores), objective::influence(o, 1.0, &a, &a_scores));
-    let n = ib.len() as f64;
-    let paired: Vec<f64> = ib.iter().zip(&ia).map(|(b, a)| b - a).collect();
-    let mean = paired.iter().sum::<f64>() / n;
-    let variance = paired.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    progress.chosen = Some(if chosen == PassingSide::Below { below.clone() } else { above.clone() });
-    progress.comparison = Some(Comparison {
-        rollouts: b_scores.cost.len(),
-        below: b,
-        above: a,
-        margin: b.j - a.j,
-        margin_se: (variance / n).sqrt(),
-        chosen,
-    });
+    progress.chosen = Some(if chosen == PassingSide::Right { right.clone() } else { left.clone() });
+    let rollouts = scores[0].cost.len();
+    progress.comparison = Some(Comparison { rollouts, right: r, left: l, margin, margin_se, chosen });
     Ok(())
 }
 
-/// PlanningProblem 2 and the last check.
+/// Problem 2, and what was found.
 fn finish(
     problem: &PlanningProblem,
     config: &OptimiseConfig,
@@ -312,7 +362,7 @@ fn finish(
     comparison: Comparison,
     watch: &mut dyn OptimiseWatch,
 ) -> Result<(Policies, OptimiseOutcome), OptimiseError> {
-    let o = &config.objective;
+    let o = &problem.objective(&config.objective, config.snr_headroom);
     let last_eta = etas(config).last().unwrap_or(1.0);
     // Stored rollouts of the executed policy; index 2^40 keeps them apart from problem 1's.
     let stored = problem.draws(
@@ -329,25 +379,23 @@ fn finish(
     let mut adam = Adam::of(&power, Betas::SLOW);
     let per_batch = (config.rollouts / LANES).min(blocks.len());
     let mut rng = noise.generator(Stream::Batches, 2 << 30);
+    let mut windows = Windows { length: 4 * config.averaged_iterations, ..Windows::new(config) };
     for i in 0..config.stage2_iterations {
         let batch: Vec<&[Sample]> =
             (0..per_batch).map(|_| blocks[rng.random_range(0..blocks.len())].as_slice()).collect();
         let (estimate, grad) = power_gradient(o, w, eps, &power, &batch);
         let norm = adam.descend(&mut power, &grad, f32::INFINITY, config.learning_rate);
         watch.iteration("stage 2, power", i + 1, config.stage2_iterations, &estimate, norm);
+        if windows.is_over(estimate.j) {
+            break;
+        }
     }
     let policies = Policies { motion, power, world: problem.world.clone(), scope: None };
     let (p_comm_executed, mean_power) = executed_power(o, &policies, &blocks);
-    let (motion_estimate, _) = measure(problem, config, noise, &policies.motion, last_eta);
-    let checks = [
-        ("P_safe", motion_estimate.p_safe, 1.0 - o.collision_tolerance),
-        ("P_comm", p_comm_executed, 1.0 - o.outage_tolerance),
-    ];
-    for (what, value, needed) in checks {
-        if value.is_nan() || value < needed {
-            let rollouts = config.comparison_rollouts;
-            return Err(OptimiseError::Violated { what, value, needed, rollouts });
-        }
+    let mut scores = Scores::default();
+    for index in 0..2 {
+        measure(problem, config, noise, &policies.motion, index, &mut scores);
     }
+    let motion_estimate = estimate(o, last_eta, &scores);
     Ok((policies, OptimiseOutcome { comparison, motion: motion_estimate, p_comm_executed, mean_power }))
 }

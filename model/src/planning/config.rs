@@ -1,10 +1,10 @@
-//! Every number of Algorithm 1, and why it could not start or may not ship.
+//! Every number of Algorithm 1, and why it could not start.
 
 use serde::{Deserialize, Serialize};
 
 use crate::numeric::kernel::LANES;
 use crate::numeric::tensors::TensorError;
-use crate::planning::plant::{Objective, ObjectiveEstimate, RolloutLimits};
+use crate::planning::plant::{Objective, RolloutLimits};
 
 /// Every number of Algorithm 1. `Default` as argued in docs/choices.md.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,8 +24,12 @@ pub struct OptimiseConfig {
     pub learning_rate: f32,
     /// Largest norm of the whole gradient in stage 1; a longer one is scaled down to it.
     pub gradient_clip: f32,
-    /// Standard deviation of the gusts in training rollouts, per axis, units per interval.
-    pub kick: f64,
+    /// Least standard deviation of the gusts in training rollouts, per axis, units per interval.
+    pub gust_std: f64,
+    /// Gusts in training rollouts over those of the scenario, at least.
+    pub gust_factor: f64,
+    /// Factor on the SNR that a packet needs: what the channel head may be wrong by.
+    pub snr_headroom: f64,
     /// Standard deviations, per axis: of the start position, units, and of the start velocity, units per interval.
     pub start_spread: [f64; 2],
     /// Starts that are rendered and encoded, as two frames one interval apart.
@@ -36,14 +40,18 @@ pub struct OptimiseConfig {
     pub displacements: Vec<f64>,
     /// Iterations of stage 1 at each η.
     pub stage1_iterations: usize,
-    /// Last iterations of a candidate and of each η whose weights are averaged: the last iterate alone carries
-    /// the noise of one batch.
+    /// Iterations of a window: a candidate and each η end with the mean weights of their last window, because
+    /// the last iterate alone carries the noise of one batch, and windows are compared to end a phase.
     pub averaged_iterations: usize,
+    /// A phase ends when a window's mean J is lower than that of the window before by less than this share of
+    /// it, or by less than the standard error of the difference. The numbers of iterations are caps.
+    pub tolerance: f64,
     /// μ, factor from one η to the next, above 1 (Algorithm 1, line 15).
     pub barrier_growth: f64,
     /// ε_0: stage 1 ends when 1/η falls below it (Algorithm 1, line 16).
     pub barrier_end: f64,
-    /// Rollouts on which the two candidates and the final policy are measured.
+    /// Most rollouts on which the two candidates are compared; fewer where the difference is four standard
+    /// errors.
     pub comparison_rollouts: usize,
     /// Stored rollouts of stage 2.
     pub stage2_rollouts: usize,
@@ -52,7 +60,11 @@ pub struct OptimiseConfig {
     /// Closed-loop flights on which the finished pair is checked before it is kept.
     pub check_flights: usize,
     /// Standard deviation of the gusts in those flights if the scenario has none, per axis, units per interval.
-    pub check_kick: f64,
+    pub check_gust_std: f64,
+    /// Share of those flights that must end in the goal region.
+    pub check_reached: f64,
+    /// Attempts, each with tighter constraints than the one before, until a pair passes the check.
+    pub attempts: usize,
 }
 
 /// Where the heads of risk and gain come from in the latent rollout.
@@ -75,25 +87,30 @@ impl Default for OptimiseConfig {
             rollouts: 64,
             learning_rate: 1e-3,
             gradient_clip: 1.0,
-            kick: 0.0027,
+            gust_std: 0.0027,
+            gust_factor: 1.8,
+            snr_headroom: 1.08,
             start_spread: [0.03, 0.01],
             starts: 2048,
             warm_iterations: [150, 75, 400],
             displacements: vec![0.22, 0.165, 0.11, 0.055],
             stage1_iterations: 400,
-            averaged_iterations: 100,
+            averaged_iterations: 50,
+            tolerance: 2e-3,
             barrier_growth: 2.0,
             barrier_end: 1e-3,
             comparison_rollouts: 65_536,
             stage2_rollouts: 512,
             stage2_iterations: 2500,
             check_flights: 1000,
-            check_kick: 0.0015,
+            check_gust_std: 0.0015,
+            check_reached: 0.95,
+            attempts: 4,
         }
     }
 }
 
-/// Why Algorithm 1 could not start or may not ship.
+/// Why Algorithm 1 could not start.
 #[derive(Debug, thiserror::Error)]
 pub enum OptimiseError {
     /// A number in the config makes no sense.
@@ -109,21 +126,9 @@ pub enum OptimiseError {
     /// The heads are not 4-64-64-1 networks.
     #[error("the world model's {0} head is not a 4-64-64-1 network")]
     Head(&'static str),
-    /// Neither side of the obstacle satisfies the constraints.
-    #[error("no candidate is feasible: P_safe {:.4} / {:.4}, P_comm {:.4} / {:.4}", .0[0].p_safe, .0[1].p_safe, .0[0].p_comm, .0[1].p_comm)]
-    Infeasible([ObjectiveEstimate; 2]),
-    /// The finished policy violates a chance constraint.
-    #[error("the policy is not safe to ship: {what} = {value:.4} on {rollouts} rollouts, needed {needed}")]
-    Violated {
-        /// Which constraint.
-        what: &'static str,
-        /// Its estimate.
-        value: f64,
-        /// 1 - δ.
-        needed: f64,
-        /// On how many rollouts.
-        rollouts: usize,
-    },
+    /// The learned heads were not trained for the scenario.
+    #[error("{0}")]
+    Untrained(String),
     /// The world model has no fingerprint.
     #[error(transparent)]
     World(#[from] TensorError),
@@ -133,6 +138,18 @@ pub enum OptimiseError {
 }
 
 impl OptimiseConfig {
+    /// The config of attempt `n`, from 0: each attempt asks for half of the tolerances and 15 % more SNR than the
+    /// one before.
+    #[must_use]
+    pub fn attempt(&self, n: usize) -> Self {
+        let mut config = self.clone();
+        let factor = 0.5_f64.powi(n as i32);
+        config.objective.collision_tolerance *= factor;
+        config.objective.outage_tolerance *= factor;
+        config.snr_headroom *= 1.15_f64.powi(n as i32);
+        config
+    }
+
     /// Checks the numbers that the loops rely on.
     ///
     /// # Errors
@@ -161,7 +178,11 @@ impl OptimiseConfig {
             ("barrier_end", self.barrier_end),
             ("objective.snr_min", self.objective.snr_min),
             ("check_flights", self.check_flights as f64),
-            ("check_kick", self.check_kick),
+            ("check_gust_std", self.check_gust_std),
+            ("snr_headroom", self.snr_headroom),
+            ("gust_factor", self.gust_factor),
+            ("attempts", self.attempts as f64),
+            ("averaged_iterations", self.averaged_iterations as f64),
         ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(OptimiseError::Range { key, value, must: "must be above 0" });

@@ -5,6 +5,7 @@ use crpl_sitl::scenario::Obstacle;
 use crpl_sitl::world::dynamics::limit_speed;
 use crpl_sitl::world::noise::{Noise, Stream};
 use crpl_sitl::world::obstacles::PerObstacle;
+use crpl_sitl::world::safety;
 use crpl_sitl::{Scenario, camera};
 use nalgebra::Vector2;
 use rand::RngExt;
@@ -16,7 +17,8 @@ use crate::planning::area::Area;
 use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};
 use crate::planning::exact::{Exact, Quantity};
 use crate::planning::head::Head;
-use crate::planning::plant::{Draws, Plant};
+use crate::planning::plant::{Draws, Objective, Plant};
+use crate::planning::scope;
 use crate::world_model::{StationHeads, WorldModel, checkpoint};
 
 /// What the encoder must provide: plane coordinates of a frame of UAV and obstacle.
@@ -41,11 +43,19 @@ pub struct PlanningProblem {
     starts: Vec<([f32; 2], [f32; 2])>,
     /// y_u where the obstacle stands.
     pub(super) obstacle: [f32; 2],
-    /// y_u of the displaced obstacles: `[below: +y, above: -y][displacement]`.
+    /// y_u of the displaced obstacles, seen from start to goal: `[to the left, to the right][displacement]`; the
+    /// UAV then passes right, left.
     pub(super) displaced: [Vec<[f32; 2]>; 2],
-    /// kick / a_max
+    /// gust_std / a_max
     wind: f32,
+    /// The SNR that a packet of the scenario needs, linear.
+    required_snr: f64,
+    /// δ1 and δ2 of the scenario.
+    tolerances: [f64; 2],
 }
+
+/// Standard deviations of the collision probability's softness by which a start must be clear of the obstacle.
+const CLEAR_START: f64 = 3.0;
 
 impl PlanningProblem {
     /// The scenario as `world` sees it.
@@ -83,9 +93,13 @@ impl PlanningProblem {
         plant.goal = place(scenario.goal, there).0;
         plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];
         let corner = |x: f64, y: f64| place(scenario.start, Vector2::new(x, y)).1;
-        let area = |o: &Obstacle| {
+        let corners = |o: &Obstacle| {
             let (near, far) = (o.margin, 1.0 - o.margin);
-            Area::new(corner(near, near), [corner(far, near), corner(near, far)])
+            (corner(near, near), [corner(far, near), corner(near, far)])
+        };
+        let area = |o: &Obstacle| {
+            let (origin, ends) = corners(o);
+            Area::new(origin, ends)
         };
         plant.areas = scenario.obstacles.iter().map(area).collect();
         plant.limits = config.limits;
@@ -99,22 +113,50 @@ impl PlanningProblem {
                         (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
                     s * Vector2::new(x, y)
                 };
-                let r = scenario.start + normal(config.start_spread[0]);
+                let r = start(scenario, || normal(config.start_spread[0]));
                 let v = limit_speed(normal(config.start_spread[1]), scenario.dynamics.v_max);
                 (place(r, there).0, place(r - v, there).0)
             })
             .collect();
-        let displaced = [1.0, -1.0].map(|sign| {
-            let shift = |d: &f64| place(scenario.start, there + Vector2::new(0.0, sign * d)).1;
-            config.displacements.iter().map(shift).collect()
-        });
+        // Latents are affine in the obstacle's place, so that it can be displaced out of the frame.
+        let displaced = {
+            let (here, o) = (place(scenario.start, there).1, scenario.obstacle());
+            let (origin, ends) = corners(o);
+            let width = (1.0 - 2.0 * o.margin) as f32;
+            let way = scenario.goal - scenario.start;
+            let left = Vector2::new(-way.y, way.x) / way.norm().max(f64::MIN_POSITIVE);
+            [1.0, -1.0].map(|sign| {
+                let shift = |d: &f64| {
+                    let by = (sign * *d * left).map(|x| x as f32) / width;
+                    std::array::from_fn(|i| {
+                        here[i] + (ends[0][i] - origin[i]) * by.x + (ends[1][i] - origin[i]) * by.y
+                    })
+                };
+                config.displacements.iter().map(shift).collect()
+            })
+        };
         Self {
             obstacle: place(scenario.start, there).1,
             displaced,
             starts,
-            wind: (config.kick / scenario.dynamics.a_max) as f32,
+            wind: (config.gust_std.max(config.gust_factor * scenario.disturbance.gust_std())
+                / scenario.dynamics.a_max) as f32,
             world: String::new(),
+            required_snr: scope::required_snr(scenario),
+            tolerances: [scenario.safety.collision_tolerance, scenario.safety.outage_tolerance],
             plant,
+        }
+    }
+
+    /// `base` with what the scenario asks for: the SNR that a packet needs times `headroom`, and the smaller of
+    /// the scenario's and the base's tolerances.
+    #[must_use]
+    pub fn objective(&self, base: &Objective, headroom: f64) -> Objective {
+        Objective {
+            snr_min: headroom * self.required_snr,
+            collision_tolerance: base.collision_tolerance.min(self.tolerances[0]),
+            outage_tolerance: base.outage_tolerance.min(self.tolerances[1]),
+            ..base.clone()
         }
     }
 
@@ -193,6 +235,18 @@ impl PlanningProblem {
     }
 }
 
+/// A start near the scenario's, in the square and clear of the obstacle; the scenario's own if there is none.
+fn start(scenario: &Scenario, mut offset: impl FnMut() -> Vector2<f64>) -> Vector2<f64> {
+    let least = scenario.safety.d_min + CLEAR_START * scenario.safety.softness;
+    let is_clear = |r: &Vector2<f64>| {
+        let o = scenario.obstacle();
+        r.iter().all(|x| (0.0..=1.0).contains(x))
+            && safety::clearance(*r, o.position, scenario.uav_radius, o.radius) >= least
+    };
+    let drawn = std::iter::repeat_with(|| scenario.start + offset()).take(20).find(is_clear);
+    drawn.unwrap_or(scenario.start)
+}
+
 /// The learned world in plane coordinates; base station and noise power folded into the heads.
 fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Result<Plant, OptimiseError> {
     let (collision, gain) = match config.heads {
@@ -215,14 +269,17 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
     })
 }
 
-/// The world model's heads of risk and gain, the noise power folded in.
+/// The world model's heads of risk and gain, the noise power folded in. Where the scenario's channel has another
+/// shape than that of the training data, the gain is the simulator's equation.
 fn learned_heads(world: &WorldModel, scenario: &Scenario) -> Result<(Head, Head), OptimiseError> {
-    let StationHeads { collision, mut gain, sight } = world.station_heads(scenario.channel.base_station);
+    let StationHeads { collision, mut gain, sight } = world.station_heads(scenario);
     if let Some(last) = gain.layers.last_mut() {
         last.b.iter_mut().for_each(|b| *b -= (scenario.channel.noise_power as f32).ln());
     }
-    Ok((
-        Head::new(collision, None).ok_or(OptimiseError::Head("collision"))?,
-        Head::new(gain, Some(sight)).ok_or(OptimiseError::Head("gain"))?,
-    ))
+    let gain = if StationHeads::untrained(scenario).is_empty() {
+        Head::new(gain, Some(sight)).ok_or(OptimiseError::Head("gain"))?
+    } else {
+        Head::exact(Exact::new(Quantity::LogGain, world.probe, scenario.clone()))
+    };
+    Ok((Head::new(collision, None).ok_or(OptimiseError::Head("collision"))?, gain))
 }

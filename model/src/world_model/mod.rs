@@ -9,6 +9,7 @@ pub mod config;
 pub mod dataset;
 pub mod stages;
 
+use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
 use nalgebra::Vector2;
 
@@ -73,10 +74,11 @@ impl WorldModel {
         on_plane(&self.plane_u, &latent.z_u)
     }
 
-    /// The risk and channel heads for a base station at `station`, paper units.
+    /// The risk and channel heads for a scenario: its base station, radii, d_min, τ_c and G0. For keys that the
+    /// channel head was not trained for, see [`StationHeads::untrained`].
     #[must_use]
-    pub fn station_heads(&self, station: Vector2<f64>) -> StationHeads {
-        self.heads.at(station, &self.probe)
+    pub fn station_heads(&self, scenario: &Scenario) -> StationHeads {
+        self.heads.at(scenario.channel.base_station, &self.probe).scaled_to(scenario)
     }
 
     /// The linear predictor of the controllable half, plane coordinates.

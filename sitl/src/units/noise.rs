@@ -26,6 +26,8 @@ pub enum Stream {
     Evaluation = 6,
     /// Pixel noise of harder cameras.
     Camera = 7,
+    /// Random scenarios.
+    Worlds = 8,
 }
 
 /// Words of the key stream set aside for each tick; a draw of two normals needs four, rarely more.

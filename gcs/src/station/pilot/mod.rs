@@ -24,8 +24,9 @@ pub mod ucc;
 
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::ValueEnum;
+use crpl_model::world_model::StationHeads;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::Telemetry;
 use crpl_sitl::units::{Motion, Scale, TxPower};
@@ -107,20 +108,26 @@ impl Pilot {
             origin = Some(chosen.origin);
             Ok(crpl::Crpl::new(Arc::new(chosen.policies), models.world.scale, limits))
         };
-        let power = || {
-            let heads = models.world.station_heads(scenario.channel.base_station);
-            crpl_bw::MatchedPower::new(Arc::new(heads), radio)
+        let power = || -> Result<_> {
+            let untrained = StationHeads::untrained(scenario);
+            ensure!(
+                untrained.is_empty(),
+                "{controller} reads the gain in flight, and the channel head was trained with other values of {}; \
+                 crpl flies here",
+                untrained.join(", ")
+            );
+            Ok(crpl_bw::MatchedPower::new(Arc::new(models.world.station_heads(scenario)), radio))
         };
         let pilot = match controller {
             Controller::Crpl => Self::Crpl(crpl()?),
-            Controller::CrplBw => Self::CrplBw(crpl_bw::CrplBw::new(crpl()?, power())),
+            Controller::CrplBw => Self::CrplBw(crpl_bw::CrplBw::new(crpl()?, power()?)),
             Controller::CrplRh => {
                 let ChosenPolicies { policies, origin: from } =
                     models.policies(scenario, PolicyUse::Begin)?;
                 origin = Some(from);
                 let receding = crpl_rh::receding(models, scenario, &policies)?;
                 let (scale, horizon) = (models.world.scale, scenario.horizon);
-                let crpl = crpl_rh::CrplRh::new(receding, policies, power(), scale, limits, horizon);
+                let crpl = crpl_rh::CrplRh::new(receding, policies, power()?, scale, limits, horizon);
                 Self::CrplRh(Box::new(crpl))
             }
             Controller::CrplExactLatents => {

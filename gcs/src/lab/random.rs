@@ -1,0 +1,273 @@
+//! `gcs optimise --random N`: how general Algorithm 1 is, on worlds that nobody chose.
+//!
+//! Each world is Scenario 2 with another start, goal, obstacle, base station and bandwidth, drawn uniformly in
+//! [`Ranges`]. Whether a world is solvable is decided without any policy, by a search for a path
+//! ([`solvable`]).
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use anyhow::Result;
+use crpl_model::planning::config::OptimiseConfig;
+use crpl_model::planning::scope;
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
+use crpl_sitl::units::TxPower;
+use crpl_sitl::units::noise::{Noise, Stream};
+use crpl_sitl::world::{channel, safety};
+use nalgebra::Vector2;
+use rand::{Rng, RngExt};
+use serde::Serialize;
+
+use crate::lab::check::ConstraintCheck;
+use crate::lab::optimise::{Quiet, optimise_for};
+
+/// Start, goal and base station lie in this range of each axis.
+const PLACE: [f64; 2] = [0.08, 0.92];
+/// The obstacle's centre lies in this range of each axis.
+const OBSTACLE: [f64; 2] = [0.25, 0.75];
+/// Its radius.
+const RADIUS: [f64; 2] = [0.05, 0.15];
+/// Least distance from start to goal: a flight of 100 intervals that is worth one.
+const LEAST_WAY: f64 = 0.4;
+/// Least clearance of start and goal from the obstacle.
+const LEAST_CLEARANCE: f64 = 0.08;
+/// B Δt.
+const BANDWIDTH: [f64; 2] = [2.5, 6.0];
+/// σ_c, the demo's.
+const SIGMA_C: f64 = 0.005;
+
+/// World `n` of `seed`: Scenario 2 with the drawn keys.
+#[must_use]
+pub fn world(seed: u64, n: u64) -> Scenario {
+    let mut rng = Noise::new(seed).generator(Stream::Worlds, n);
+    let mut scenario = Scenario { name: format!("random {seed}/{n}"), ..Scenario::default() };
+    scenario.disturbance.sigma_c = SIGMA_C;
+    loop {
+        let mut within = |[low, high]: [f64; 2]| thousandths(rng.random_range(low..=high));
+        scenario.radio.b_dt = within(BANDWIDTH);
+        scenario.obstacles.truncate(1);
+        if let Some(obstacle) = scenario.obstacles.first_mut() {
+            obstacle.position = Vector2::new(within(OBSTACLE), within(OBSTACLE));
+            obstacle.radius = within(RADIUS);
+        }
+        let place = |rng: &mut _| draw_place(rng);
+        (scenario.start, scenario.goal) = (place(&mut rng), place(&mut rng));
+        scenario.channel.base_station = place(&mut rng);
+        let is_clear =
+            [scenario.start, scenario.goal].iter().all(|r| clearance(*r, &scenario) >= LEAST_CLEARANCE);
+        if is_clear && (scenario.goal - scenario.start).norm() >= LEAST_WAY && scenario.check().is_ok() {
+            return scenario;
+        }
+    }
+}
+
+fn draw_place(rng: &mut impl Rng) -> Vector2<f64> {
+    let [low, high] = PLACE;
+    Vector2::from_fn(|_, _| thousandths(rng.random_range(low..=high)))
+}
+
+/// Three decimals: a world that can be typed.
+fn thousandths(x: f64) -> f64 {
+    (x * 1000.0).round() / 1000.0
+}
+
+fn clearance(r: Vector2<f64>, scenario: &Scenario) -> f64 {
+    let o = scenario.obstacle();
+    safety::clearance(r, o.position, scenario.uav_radius, o.radius)
+}
+
+/// Cells along each side of the search's grid.
+const CELLS: usize = 100;
+
+/// Most by which a way over sides and corners of cells is longer than the straight one.
+const OCTILE: f64 = 1.0824;
+
+/// Whether a path from start to goal exists on which a UAV could keep both constraints: in every cell the SNR at
+/// full power carries a packet and the clearance is above d_min, and the path is no longer than a UAV at v_max
+/// flies in the horizon, less the intervals that it takes to reach v_max and to stop. It bounds what any
+/// controller can do: gusts and sight play no part. Cells touch by sides and corners.
+#[must_use]
+pub fn solvable(scenario: &Scenario) -> bool {
+    let needed = scope::required_snr(scenario);
+    let o = scenario.obstacle();
+    let cell = 1.0 / CELLS as f64;
+    let centre = |(i, j): (usize, usize)| Vector2::new(i as f64 + 0.5, j as f64 + 0.5) * cell;
+    let is_free = |at: (usize, usize)| {
+        let r = centre(at);
+        let gain = channel::gain(r, o.position, o.radius, &scenario.channel);
+        let snr = channel::snr(gain, TxPower::High.level(), &scenario.channel).0;
+        clearance(r, scenario) > scenario.safety.d_min && snr >= needed
+    };
+    let at = |r: Vector2<f64>| {
+        let index = |x: f64| ((x / cell) as usize).min(CELLS - 1);
+        (index(r.x), index(r.y))
+    };
+    let (start, goal) = (at(scenario.start), at(scenario.goal));
+    if !is_free(start) || !is_free(goal) {
+        return false;
+    }
+    // Dijkstra would be exact; a queue that is visited again where a shorter way is found is enough here.
+    let mut length = vec![f64::INFINITY; CELLS * CELLS];
+    let mut queue = VecDeque::from([start]);
+    length[start.0 * CELLS + start.1] = 0.0;
+    while let Some((i, j)) = queue.pop_front() {
+        let so_far = length[i * CELLS + j];
+        for (di, dj) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)] {
+            let next = (i.wrapping_add_signed(di), j.wrapping_add_signed(dj));
+            if next.0 >= CELLS || next.1 >= CELLS || !is_free(next) {
+                continue;
+            }
+            let step = cell * if di != 0 && dj != 0 { std::f64::consts::SQRT_2 } else { 1.0 };
+            let known = &mut length[next.0 * CELLS + next.1];
+            if so_far + step < *known - 1e-12 {
+                *known = so_far + step;
+                queue.push_back(next);
+            }
+        }
+    }
+    let d = &scenario.dynamics;
+    let reach = d.v_max * (scenario.horizon as f64 - d.v_max / d.a_max);
+    length[goal.0 * CELLS + goal.1] <= OCTILE * reach
+}
+
+/// One world and what became of it.
+#[derive(Debug, Clone, Serialize)]
+pub struct RandomRow {
+    /// Number of the world under its seed.
+    pub n: u64,
+    /// Start, goal, obstacle and base station, paper units.
+    pub start: Vector2<f64>,
+    /// See `start`.
+    pub goal: Vector2<f64>,
+    /// See `start`.
+    pub obstacle: Vector2<f64>,
+    /// Radius of the obstacle, units.
+    pub radius: f64,
+    /// See `start`.
+    pub base_station: Vector2<f64>,
+    /// B Δt.
+    pub b_dt: f64,
+    /// See [`solvable`].
+    pub solvable: bool,
+    /// Whether the policies passed the check.
+    pub solved: bool,
+    /// Attempts that it took.
+    pub attempts: usize,
+    /// The check.
+    pub flown: ConstraintCheck,
+    /// Time of optimisation and check, s.
+    pub wall_s: f64,
+}
+
+/// Optimises for `worlds` worlds of `seed` and prints a row each, and how many were solved.
+///
+/// # Errors
+/// As [`optimise_for`].
+pub fn run(
+    world_model: &Arc<WorldModel>,
+    config: &OptimiseConfig,
+    worlds: u64,
+    seed: u64,
+    json: bool,
+) -> Result<()> {
+    let mut rows = Vec::new();
+    if !json {
+        println!(
+            "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s"
+        );
+    }
+    for n in 0..worlds {
+        let scenario = world(seed, n);
+        let made = optimise_for(world_model, &scenario, config, seed, (0, None), &mut Quiet)?;
+        let o = scenario.obstacle();
+        let row = RandomRow {
+            n,
+            start: scenario.start,
+            goal: scenario.goal,
+            obstacle: o.position,
+            radius: o.radius,
+            base_station: scenario.channel.base_station,
+            b_dt: scenario.radio.b_dt,
+            solvable: solvable(&scenario),
+            solved: made.flown.holds(),
+            attempts: made.attempts,
+            flown: made.flown,
+            wall_s: made.wall_s,
+        };
+        if json {
+            println!("{}", serde_json::to_string(&row)?);
+        } else {
+            println!("{}", text(&row));
+        }
+        rows.push(row);
+    }
+    let solvable: Vec<&RandomRow> = rows.iter().filter(|row| row.solvable).collect();
+    let solved = solvable.iter().filter(|row| row.solved).count();
+    let beyond = rows.iter().filter(|row| row.solved && !row.solvable).count();
+    let mut times: Vec<f64> = rows.iter().map(|row| row.wall_s).collect();
+    times.sort_by(f64::total_cmp);
+    let median = times.get(times.len() / 2).copied().unwrap_or(f64::NAN);
+    let line = format!(
+        "{} worlds of seed {seed}: {} solvable, {solved} of these solved, {beyond} solved beyond them; median {median:.1} s",
+        rows.len(),
+        solvable.len()
+    );
+    if json {
+        eprintln!("{line}")
+    } else {
+        println!("{line}")
+    }
+    Ok(())
+}
+
+fn text(row: &RandomRow) -> String {
+    let place = |r: Vector2<f64>| format!("({:.3}, {:.3})", r.x, r.y);
+    let yes = |yes: bool| if yes { "yes" } else { "no" };
+    format!(
+        "{:>3}  {} {} {} {:<7.3} {} {:<6.3} {:<9} {:<7} {:<8} {:.4}  {:.4}  {:.4}   {:.1}",
+        row.n,
+        place(row.start),
+        place(row.goal),
+        place(row.obstacle),
+        row.radius,
+        place(row.base_station),
+        row.b_dt,
+        yes(row.solvable),
+        yes(row.solved),
+        row.attempts,
+        row.flown.safe.share,
+        row.flown.comm.share,
+        row.flown.reached.share,
+        row.wall_s
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn worlds_are_equal_for_equal_seeds_and_keep_their_ranges() {
+        assert_eq!(world(3, 5), world(3, 5));
+        assert_ne!(world(3, 5), world(4, 5));
+        for n in 0..200 {
+            let scenario = world(1, n);
+            scenario.check().unwrap();
+            assert!((scenario.goal - scenario.start).norm() >= LEAST_WAY);
+            assert!(clearance(scenario.start, &scenario) >= LEAST_CLEARANCE);
+        }
+    }
+
+    #[test]
+    fn the_paper_s_scenarios_are_solvable_and_a_goal_without_link_is_not() {
+        for number in [1, 2] {
+            assert!(solvable(&Scenario::numbered(number).unwrap()));
+        }
+        let mut far = Scenario::default();
+        far.channel.noise_power = 10.0;
+        assert!(!solvable(&far));
+        let slow = Scenario { horizon: 20, ..Scenario::default() };
+        assert!(!solvable(&slow), "0.8 units at 0.04 an interval take more than 20 intervals with the start");
+    }
+}
