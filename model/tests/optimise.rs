@@ -15,6 +15,7 @@ fn config() -> OptimiseConfig {
         starts: 64,
         warm_iterations: [40, 3, 12],
         stage1_iterations: 4,
+        last_iterations: 4,
         averaged_iterations: 2,
         comparison_rollouts: 64,
         stage2_rollouts: 32,

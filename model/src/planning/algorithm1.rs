@@ -28,6 +28,8 @@ struct OptimisePhase {
     obstacle: [f32; 2],
     eta: Option<f64>,
     iterations: usize,
+    /// Whether all iterations are made, whatever J does.
+    is_whole: bool,
 }
 
 /// Which network a phase trains.
@@ -115,7 +117,10 @@ fn lengths(config: &OptimiseConfig) -> impl Iterator<Item = usize> + use<> {
     let [free, each, candidate] = config.warm_iterations;
     let mut side = vec![each; config.displacements.len()];
     side.push(candidate);
-    let barrier = vec![config.stage1_iterations; etas(config).count()];
+    let mut barrier = vec![config.stage1_iterations; etas(config).count()];
+    if let Some(last) = barrier.last_mut() {
+        *last = config.last_iterations;
+    }
     [vec![free], side.clone(), side, barrier].into_iter().flatten()
 }
 
@@ -132,6 +137,7 @@ fn phases(problem: &PlanningProblem, config: &OptimiseConfig) -> Vec<OptimisePha
         obstacle,
         eta,
         iterations,
+        is_whole: false,
     };
     let mut all = vec![phase("no obstacle".into(), PassingSide::Free, problem.obstacle, None, free)];
     for (side, name, places) in [
@@ -146,6 +152,9 @@ fn phases(problem: &PlanningProblem, config: &OptimiseConfig) -> Vec<OptimisePha
     for eta in etas(config) {
         let name = format!("stage 1, eta {eta}");
         all.push(phase(name, PassingSide::Chosen, problem.obstacle, Some(eta), config.stage1_iterations));
+    }
+    if let Some(last) = all.last_mut().filter(|phase| phase.side == PassingSide::Chosen) {
+        (last.iterations, last.is_whole) = (config.last_iterations, true);
     }
     all
 }
@@ -268,7 +277,7 @@ fn run_phase(
             mean = WeightMean::default();
         }
         mean.add(net);
-        if windows.is_over(estimate.j) {
+        if windows.is_over(estimate.j) && !phase.is_whole {
             break;
         }
     }
@@ -376,22 +385,19 @@ fn finish(
     let blocks: Vec<Vec<Sample>> =
         stored.par_iter().map(|d| rollout::samples(&problem.plant, o, &motion, d)).collect();
     let (w, eps) = objective::barrier_weight(last_eta, o.barrier_residual);
+    let sharp = &Objective { alpha: config.stage2_alpha, ..o.clone() };
     let mut adam = Adam::of(&power, Betas::SLOW);
     let per_batch = (config.rollouts / LANES).min(blocks.len());
     let mut rng = noise.generator(Stream::Batches, 2 << 30);
-    let mut windows = Windows { length: 4 * config.averaged_iterations, ..Windows::new(config) };
     for i in 0..config.stage2_iterations {
         let batch: Vec<&[Sample]> =
             (0..per_batch).map(|_| blocks[rng.random_range(0..blocks.len())].as_slice()).collect();
-        let (estimate, grad) = power_gradient(o, w, eps, &power, &batch);
-        let norm = adam.descend(&mut power, &grad, f32::INFINITY, config.learning_rate);
+        let (estimate, grad) = power_gradient(sharp, w, eps, &power, &batch);
+        let norm = adam.descend(&mut power, &grad, f32::INFINITY, config.stage2_learning_rate);
         watch.iteration("stage 2, power", i + 1, config.stage2_iterations, &estimate, norm);
-        if windows.is_over(estimate.j) {
-            break;
-        }
     }
     let policies = Policies { motion, power, world: problem.world.clone(), scope: None };
-    let (p_comm_executed, mean_power) = executed_power(o, &policies, &blocks);
+    let (p_comm_executed, mean_power) = executed_power(sharp, &policies, &blocks);
     let mut scores = Scores::default();
     for index in 0..2 {
         measure(problem, config, noise, &policies.motion, index, &mut scores);

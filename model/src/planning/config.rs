@@ -20,7 +20,7 @@ pub struct OptimiseConfig {
     pub horizon: usize,
     /// K, rollouts of an iteration, a multiple of 32.
     pub rollouts: usize,
-    /// Learning rate of Adam in both stages (λ in Algorithm 1).
+    /// Learning rate of Adam in stage 1 (λ in Algorithm 1).
     pub learning_rate: f32,
     /// Largest norm of the whole gradient in stage 1; a longer one is scaled down to it.
     pub gradient_clip: f32,
@@ -38,8 +38,11 @@ pub struct OptimiseConfig {
     pub warm_iterations: [usize; 3],
     /// Displacements of the obstacle along y in the warm start, units, largest first.
     pub displacements: Vec<f64>,
-    /// Iterations of stage 1 at each η.
+    /// Iterations of stage 1 at each η but the last.
     pub stage1_iterations: usize,
+    /// Iterations of stage 1 at the last η, all of which are made: J hardly changes there while the policy learns
+    /// to stop at the goal.
+    pub last_iterations: usize,
     /// Iterations of a window: a candidate and each η end with the mean weights of their last window, because
     /// the last iterate alone carries the noise of one batch, and windows are compared to end a phase.
     pub averaged_iterations: usize,
@@ -57,6 +60,11 @@ pub struct OptimiseConfig {
     pub stage2_rollouts: usize,
     /// Iterations of stage 2.
     pub stage2_iterations: usize,
+    /// α of the smooth outage in stage 2. Stage 1 needs its gentle slope, along which a trajectory finds out of the
+    /// shadow; in stage 2 such a slope buys power where no packet is lost.
+    pub stage2_alpha: f64,
+    /// Learning rate of stage 2, whose gradients do not pass through rollouts.
+    pub stage2_learning_rate: f32,
     /// Closed-loop flights on which the finished pair is checked before it is kept.
     pub check_flights: usize,
     /// Standard deviation of the gusts in those flights if the scenario has none, per axis, units per interval.
@@ -92,16 +100,19 @@ impl Default for OptimiseConfig {
             snr_headroom: 1.08,
             start_spread: [0.03, 0.01],
             starts: 2048,
-            warm_iterations: [150, 75, 400],
-            displacements: vec![0.22, 0.165, 0.11, 0.055],
-            stage1_iterations: 400,
+            warm_iterations: [100, 60, 200],
+            displacements: vec![0.2, 0.1],
+            stage1_iterations: 100,
+            last_iterations: 600,
             averaged_iterations: 50,
             tolerance: 2e-3,
             barrier_growth: 2.0,
             barrier_end: 1e-3,
             comparison_rollouts: 65_536,
             stage2_rollouts: 512,
-            stage2_iterations: 2500,
+            stage2_iterations: 600,
+            stage2_alpha: 30.0,
+            stage2_learning_rate: 5e-3,
             check_flights: 1000,
             check_gust_std: 0.0015,
             check_reached: 0.95,
@@ -173,6 +184,8 @@ impl OptimiseConfig {
             ("horizon", self.horizon as f64),
             ("starts", self.starts as f64),
             ("learning_rate", f64::from(self.learning_rate)),
+            ("stage2_learning_rate", f64::from(self.stage2_learning_rate)),
+            ("stage2_alpha", self.stage2_alpha),
             ("gradient_clip", f64::from(self.gradient_clip)),
             ("barrier_growth - 1", self.barrier_growth - 1.0),
             ("barrier_end", self.barrier_end),
