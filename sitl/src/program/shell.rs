@@ -34,12 +34,8 @@ const BATCH: usize = 64;
 
 /// A vehicle's links. A station that does not read for some seconds of pictures is closed: it is to see
 /// the present. The vehicle keeps its own list of who speaks by UDP.
-pub const LINKS: LinkOptions = LinkOptions {
-    backlog: Backlog::Close(1 << 20),
-    connects_later: false,
-    max_streams: 16,
-    udp_peers: None,
-};
+pub const LINKS: LinkOptions =
+    LinkOptions { backlog: Backlog::Close(1 << 20), connects_later: false, max_streams: 16, udp_peers: None };
 
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -163,7 +163,7 @@ enum PortEvent {
 
 /// The sockets of one endpoint. A peer without an address, such as a serial line's, would be
 /// `0.0.0.0:0`.
-trait LinkPort: std::fmt::Debug + Send + Sync {
+trait LinkPort: std::fmt::Debug + Send {
     /// What has come; bytes are at the buffer's beginning. Also writes what waits. An error is one of a
     /// socket that will not go away at once.
     fn poll(&mut self, cx: &mut Context<'_>, buffer: &mut [u8]) -> Poll<io::Result<PortEvent>>;

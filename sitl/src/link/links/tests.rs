@@ -3,12 +3,8 @@ use tokio::net::{TcpListener, TcpStream};
 
 use super::*;
 
-const OPTIONS: LinkOptions = LinkOptions {
-    backlog: Backlog::Close(1 << 20),
-    connects_later: false,
-    max_streams: 16,
-    udp_peers: None,
-};
+const OPTIONS: LinkOptions =
+    LinkOptions { backlog: Backlog::Close(1 << 20), connects_later: false, max_streams: 16, udp_peers: None };
 const PATIENCE: Duration = Duration::from_secs(30);
 
 async fn open(text: &str, options: LinkOptions) -> Links {
@@ -87,7 +83,10 @@ async fn a_stream_outward_may_wait_for_its_listener() {
     let text = format!("tcp:{}", listener.local_addr().unwrap());
     drop(listener);
     let mut links = open(&text, LinkOptions { connects_later: true, ..OPTIONS }).await;
-    assert!(timeout(Duration::from_millis(50), links.receive(&mut [0; 16])).await.is_err(), "nobody is there");
+    assert!(
+        timeout(Duration::from_millis(50), links.receive(&mut [0; 16])).await.is_err(),
+        "nobody is there"
+    );
     let listener = TcpListener::bind(text.strip_prefix("tcp:").unwrap()).await.unwrap();
     let peer = connected(&mut links).await;
     let (mut stream, _) = listener.accept().await.unwrap();
@@ -170,9 +169,10 @@ async fn streams_beyond_the_limit_are_closed_at_once() {
     connected(&mut links).await;
     let mut second = TcpStream::connect(address(&links, 0)).await.unwrap();
     let mut buffer = [0; 16];
+    let mut received = [0; 16];
     tokio::select! {
         read = second.read(&mut buffer) => assert_eq!(read.unwrap_or(0), 0),
-        other = links.receive(&mut [0; 16]) => panic!("{other:?}"),
+        other = links.receive(&mut received) => panic!("{other:?}"),
     }
 }
 
@@ -247,14 +247,16 @@ async fn a_burst_is_given_from_all_endpoints_in_turn() {
 async fn what_cannot_be_opened_is_said_in_one_line() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let taken = listener.local_addr().unwrap();
-    let error = async |text: String| {
-        Links::open(&[text.parse().unwrap()], OPTIONS).await.unwrap_err().to_string()
-    };
+    let error =
+        async |text: String| Links::open(&[text.parse().unwrap()], OPTIONS).await.unwrap_err().to_string();
     let tcp = error(format!("tcpin:{taken}")).await;
     assert!(tcp.starts_with(&format!("tcpin:{taken}: binding")) && tcp.contains("in use"), "{tcp}");
     drop(listener);
     let refused = error(format!("tcp:{taken}")).await;
-    assert!(refused.starts_with(&format!("tcpout:{taken}: connecting")) && !refused.contains('\n'), "{refused}");
+    assert!(
+        refused.starts_with(&format!("tcpout:{taken}: connecting")) && !refused.contains('\n'),
+        "{refused}"
+    );
     let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let taken = socket.local_addr().unwrap();
     let udp = error(format!("udpin:{taken}")).await;

@@ -350,7 +350,11 @@ impl Hub {
         };
         router.flush(|link, datagram| match vehicle_signer {
             Some(signer) if signed_links.contains_key(&link) => {
-                signer.sign(datagram).iter().fold(true, |sent, part| send(link, part) && sent)
+                let mut sent = true;
+                for part in signer.sign(datagram) {
+                    sent &= send(link, &part);
+                }
+                sent
             }
             _ => send(link, datagram),
         });
