@@ -89,6 +89,7 @@ fn main() {
             router.receive(links[0], bytes, Duration::ZERO, |_| {});
             router.flush(|_, datagram| {
                 black_box(datagram);
+                true
             });
         }
     });

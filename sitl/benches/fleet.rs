@@ -12,7 +12,7 @@ use crpl_sitl::link::dialect;
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::links::Links;
 use crpl_sitl::link::wire::{self, Clock};
-use crpl_sitl::program::shell::Shell;
+use crpl_sitl::program::shell::{LINKS, Shell};
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::program::{cli, fleet};
 use crpl_sitl::units::Tick;
@@ -37,7 +37,8 @@ async fn run() {
         let sim = Sim::new(fleet::scenario(&base, 1, index), index as u64);
         let vehicle = Vehicle::new(sim, index as u8 + 1, Some(TICKS));
         let endpoint = "udpin:127.0.0.1:0".parse().expect("an endpoint");
-        let shell = Shell::over(Links::open(&[endpoint]).await.expect("a free port"), vec![vehicle]);
+        let links = Links::open(&[endpoint], LINKS).await.expect("a free port");
+        let shell = Shell::over(links, vec![vehicle]);
         let told = shell.describe().remove(0);
         addresses.push(told.trim_start_matches("listening on udpin:").to_owned());
         shells.push(shell);

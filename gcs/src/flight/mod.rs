@@ -361,7 +361,7 @@ mod tests {
 
     /// A vehicle on a free port; gives its address.
     async fn vehicle(lockstep: bool) -> SocketAddr {
-        let (socket, _) = endpoint("udpin:127.0.0.1:0").open().await.unwrap();
+        let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let address = socket.local_addr().unwrap();
         let vehicle = Vehicle::new(Sim::new(Scenario::default(), 3), 1, Some(TICKS));
         tokio::spawn(async move {

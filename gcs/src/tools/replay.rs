@@ -16,7 +16,7 @@ use crpl_sitl::link::dialect::{
     GLOBAL_POSITION_INT_DATA, HEARTBEAT_DATA, MavAutopilot, MavModeFlag, MavState, MavType,
 };
 use crpl_sitl::link::encoder::Encoder;
-use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
+use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, RADIO, STATION_SYSTEM};
@@ -63,7 +63,7 @@ pub async fn run(args: Replay) -> Result<()> {
         println!("forward: {}", hub.open(endpoint).await?);
     }
     // A port of ours has no listener before one has spoken to it.
-    if args.forward.iter().all(|to| to.direction == Direction::In || to.transport == Transport::Tcp) {
+    if !args.forward.iter().any(Endpoint::speaks_at_once) {
         println!("waiting for a connection");
         while hub.router().links().count() < 2 {
             tokio::select! {

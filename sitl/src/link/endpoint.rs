@@ -6,33 +6,24 @@ use std::net::SocketAddr;
 use std::str::FromStr;
 use std::{fmt, io};
 
-use tokio::net::{UdpSocket, lookup_host};
+use tokio::net::lookup_host;
 
-/// Who speaks first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
-    /// Bind the address and wait for peers.
-    In,
-    /// Send to the address from a port of the system's choice.
-    Out,
-}
-
-/// Datagrams or a stream.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Transport {
-    /// Datagrams.
-    Udp,
-    /// A stream.
-    Tcp,
-}
-
-/// One end of a link.
+/// One end of a link. How each kind is opened is in [`links`](super::links).
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Endpoint {
-    /// Datagrams or a stream.
-    pub transport: Transport,
-    /// Who speaks first.
-    pub direction: Direction,
+pub enum Endpoint {
+    /// Datagrams: bind the address and wait for peers.
+    UdpIn(HostPort),
+    /// Datagrams: send to the address from a port of the system's choice.
+    UdpOut(HostPort),
+    /// Streams: bind the address and wait for peers.
+    TcpIn(HostPort),
+    /// A stream: connect to the address.
+    TcpOut(HostPort),
+}
+
+/// A place in the network.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HostPort {
     /// Name or address; an IPv6 address in brackets.
     pub host: String,
     /// Port; 0 lets the system choose one to listen on.
@@ -53,7 +44,7 @@ pub struct NoEndpoint {
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The host has no address.
-    #[error("{endpoint}: looking up `{host}`: {why}", host = endpoint.host)]
+    #[error("{endpoint}: looking up `{host}`: {why}", host = endpoint.place().host)]
     Lookup {
         /// The endpoint.
         endpoint: Endpoint,
@@ -80,53 +71,61 @@ pub enum OpenError {
         /// Why.
         source: io::Error,
     },
-    /// A stream, where datagrams are needed.
-    #[error("{0}: only udpin and udpout can be used here")]
-    Transport(Endpoint),
 }
 
-/// The receive buffer that is asked for, bytes: a burst of a few thousand frames. The system may give
-/// less.
-const RECEIVE_BUFFER: usize = 4 << 20;
-
 impl Endpoint {
-    /// Opens the socket of a UDP endpoint. The address is that of the peer to which an `Out` endpoint
-    /// sends.
-    pub async fn open(&self) -> Result<(UdpSocket, Option<SocketAddr>), OpenError> {
-        if self.transport != Transport::Udp {
-            return Err(OpenError::Transport(self.clone()));
+    /// The place that it names.
+    #[must_use]
+    pub fn place(&self) -> &HostPort {
+        match self {
+            Self::UdpIn(place) | Self::UdpOut(place) | Self::TcpIn(place) | Self::TcpOut(place) => place,
         }
-        let address = self.address().await?;
-        let (local, peer) = match (self.direction, address) {
-            (Direction::In, _) => (address, None),
-            (Direction::Out, SocketAddr::V4(_)) => (SocketAddr::from(([0; 4], 0)), Some(address)),
-            (Direction::Out, SocketAddr::V6(_)) => (SocketAddr::from(([0; 16], 0)), Some(address)),
-        };
-        let socket = UdpSocket::bind(local).await.map_err(|source| self.no_bind(local, source))?;
-        if let Err(error) = socket2::SockRef::from(&socket).set_recv_buffer_size(RECEIVE_BUFFER) {
-            tracing::debug!("{self}: receive buffer: {error}");
+    }
+
+    /// The same at another place.
+    fn at(&self, place: HostPort) -> Self {
+        match self {
+            Self::UdpIn(_) => Self::UdpIn(place),
+            Self::UdpOut(_) => Self::UdpOut(place),
+            Self::TcpIn(_) => Self::TcpIn(place),
+            Self::TcpOut(_) => Self::TcpOut(place),
         }
-        Ok((socket, peer))
+    }
+
+    /// Whether it has somebody to speak to from the beginning. All others wait until somebody has come.
+    #[must_use]
+    pub fn speaks_at_once(&self) -> bool {
+        matches!(self, Self::UdpOut(_))
+    }
+
+    /// Its name before the colon.
+    #[must_use]
+    pub fn scheme(&self) -> &'static str {
+        match self {
+            Self::UdpIn(_) => "udpin",
+            Self::UdpOut(_) => "udpout",
+            Self::TcpIn(_) => "tcpin",
+            Self::TcpOut(_) => "tcpout",
+        }
     }
 
     /// The first address of its host.
+    ///
+    /// # Errors
+    /// The host has no address.
     pub async fn address(&self) -> Result<SocketAddr, OpenError> {
         let failed = |why: String| OpenError::Lookup { endpoint: self.clone(), why };
-        let mut found = lookup_host(format!("{}:{}", self.host, self.port))
-            .await
-            .map_err(|error| failed(error.to_string()))?;
-        found.next().ok_or_else(|| failed("it has no address".into()))
-    }
-
-    pub(super) fn no_bind(&self, address: SocketAddr, source: io::Error) -> OpenError {
-        OpenError::Bind { endpoint: self.clone(), address, source }
+        let HostPort { host, port } = self.place();
+        let found = lookup_host(format!("{host}:{port}")).await.map_err(|error| failed(error.to_string()));
+        found?.next().ok_or_else(|| failed("it has no address".into()))
     }
 
     /// The same, `by` ports further; `None` beyond the last port. Port 0 stays.
     #[must_use]
     pub fn further(&self, by: u16) -> Option<Self> {
-        let port = if self.port == 0 { Some(0) } else { self.port.checked_add(by) };
-        port.map(|port| Self { port, ..self.clone() })
+        let HostPort { host, port } = self.place();
+        let port = if *port == 0 { Some(0) } else { port.checked_add(by) };
+        port.map(|port| self.at(HostPort { host: host.clone(), port }))
     }
 }
 
@@ -136,37 +135,42 @@ impl FromStr for Endpoint {
     fn from_str(text: &str) -> Result<Self, NoEndpoint> {
         let no = |why| NoEndpoint { text: text.into(), why };
         let (scheme, rest) = text.split_once(':').ok_or_else(|| no("it has no colon"))?;
-        let (transport, direction) = match scheme {
-            "udpin" | "udp" => (Transport::Udp, Direction::In),
-            "udpout" => (Transport::Udp, Direction::Out),
-            "tcpin" => (Transport::Tcp, Direction::In),
-            "tcpout" | "tcp" => (Transport::Tcp, Direction::Out),
+        let kind = match scheme {
+            "udpin" | "udp" => Self::UdpIn,
+            "udpout" => Self::UdpOut,
+            "tcpin" => Self::TcpIn,
+            "tcpout" | "tcp" => Self::TcpOut,
             _ => return Err(no("only udpin, udpout, tcpin and tcpout are known")),
         };
-        let rest = rest.strip_prefix("//").unwrap_or(rest);
-        let (host, port) = rest.rsplit_once(':').ok_or_else(|| no("the port is missing"))?;
-        let port = port.parse().map_err(|_| no("the port is not a number from 0 to 65535"))?;
-        let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']'));
-        if host.contains(':') && bare.is_none() {
-            return Err(no("an IPv6 address needs brackets"));
-        }
-        if direction == Direction::Out && port == 0 {
+        let endpoint = kind(rest.strip_prefix("//").unwrap_or(rest).parse().map_err(no)?);
+        let listens = matches!(endpoint, Self::UdpIn(_) | Self::TcpIn(_));
+        if endpoint.place().port == 0 && !listens {
             return Err(no("nobody listens on port 0"));
         }
+        Ok(endpoint)
+    }
+}
+
+impl FromStr for HostPort {
+    type Err = &'static str;
+
+    /// `HOST:PORT`, or `:PORT` for this machine alone.
+    fn from_str(text: &str) -> Result<Self, &'static str> {
+        let (host, port) = text.rsplit_once(':').ok_or("the port is missing")?;
+        let port = port.parse().map_err(|_| "the port is not a number from 0 to 65535")?;
+        let bare = host.strip_prefix('[').and_then(|h| h.strip_suffix(']'));
+        if host.contains(':') && bare.is_none() {
+            return Err("an IPv6 address needs brackets");
+        }
         let host = if host.is_empty() { "127.0.0.1" } else { host };
-        Ok(Self { transport, direction, host: host.into(), port })
+        Ok(Self { host: host.into(), port })
     }
 }
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scheme = match (self.transport, self.direction) {
-            (Transport::Udp, Direction::In) => "udpin",
-            (Transport::Udp, Direction::Out) => "udpout",
-            (Transport::Tcp, Direction::In) => "tcpin",
-            (Transport::Tcp, Direction::Out) => "tcpout",
-        };
-        write!(f, "{scheme}:{}:{}", self.host, self.port)
+        let HostPort { host, port } = self.place();
+        write!(f, "{}:{host}:{port}", self.scheme())
     }
 }
 
@@ -210,17 +214,8 @@ mod tests {
     #[test]
     fn ports_count_up_and_end() {
         let endpoint: Endpoint = "udpin:127.0.0.1:65000".parse().unwrap();
-        assert_eq!(endpoint.further(535).map(|e| e.port), Some(65_535));
+        assert_eq!(endpoint.further(535).map(|e| e.place().port), Some(65_535));
         assert_eq!(endpoint.further(536), None);
-        assert_eq!("udpin::0".parse::<Endpoint>().unwrap().further(7).map(|e| e.port), Some(0));
-    }
-
-    #[tokio::test]
-    async fn a_port_in_use_is_named() {
-        let (first, _) = "udpin:127.0.0.1:0".parse::<Endpoint>().unwrap().open().await.unwrap();
-        let port = first.local_addr().unwrap().port();
-        let second: Endpoint = format!("udpin:127.0.0.1:{port}").parse().unwrap();
-        let error = second.open().await.unwrap_err().to_string();
-        assert!(error.contains(&format!("127.0.0.1:{port}")) && error.contains("in use"), "{error}");
+        assert_eq!("udpin::0".parse::<Endpoint>().unwrap().further(7).map(|e| e.place().port), Some(0));
     }
 }

@@ -1,7 +1,7 @@
 //! Bytes: MAVLink 2 in datagrams, for the vehicle's side and for the ground station's.
 //!
-//! The only place that names the `mavlink` crate. Knows no physics, no socket but the one that
-//! [`endpoint::Endpoint::open`] makes, and no clock. What a packet from the network contains is data:
+//! The only place that names the `mavlink` crate. Knows no physics; sockets and their clock are in
+//! [`links`] alone. What a packet from the network contains is data:
 //! a bad one is counted ([`splitter::Counts`]) and never an error.
 //!
 //! | module | what it is |

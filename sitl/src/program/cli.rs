@@ -6,12 +6,12 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use clap::{Parser, ValueEnum};
 
-use crate::link::endpoint::{Direction, Endpoint, Transport};
+use crate::link::endpoint::{Endpoint, HostPort};
 use crate::link::links::Links;
 use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
 use crate::program::fleet;
-use crate::program::shell::{Ended, Shell};
+use crate::program::shell::{Ended, LINKS, Shell};
 use crate::program::terminal::{positive, say};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Scenario, presets};
@@ -109,7 +109,7 @@ impl Args {
             return asked;
         }
         let local = "127.0.0.1".to_owned();
-        vec![Endpoint { transport: Transport::Udp, direction: Direction::In, host: local, port: 14_550 }]
+        vec![Endpoint::UdpIn(HostPort { host: local, port: 14_550 })]
     }
 
     /// Each vehicle that was asked for.
@@ -138,12 +138,12 @@ impl Args {
     async fn shells(&self, scenario: &Scenario) -> Result<Vec<Shell>> {
         let (vehicles, endpoints) = (self.vehicles(scenario)?, self.endpoints());
         if self.shared || vehicles.len() == 1 {
-            return Ok(vec![Shell::over(Links::open(&endpoints).await?, vehicles)]);
+            return Ok(vec![Shell::over(Links::open(&endpoints, LINKS).await?, vehicles)]);
         }
         let mut shells = Vec::with_capacity(vehicles.len());
         for (index, vehicle) in vehicles.into_iter().enumerate() {
             let own = fleet::endpoints(&endpoints, index).context("--instances: ports end at 65535")?;
-            shells.push(Shell::over(Links::open(&own).await?, vec![vehicle]));
+            shells.push(Shell::over(Links::open(&own, LINKS).await?, vec![vehicle]));
         }
         Ok(shells)
     }
@@ -193,6 +193,7 @@ pub async fn run(args: Args) -> Result<()> {
                 Pace::Lockstep => shell.lockstep().await,
                 Pace::Realtime => shell.real_time(period).await,
             };
+            shell.close().await;
             shell.save_signing(true);
             (index, ended, shell)
         });

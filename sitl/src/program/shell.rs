@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime};
 use tokio::net::UdpSocket;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
-use crate::link::links::{Arrival, BUFFER, Links};
+use crate::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links};
 use crate::link::signing::{Signing, Store};
 use crate::program::terminal::interrupted;
 use crate::program::timing::Histogram;
@@ -31,6 +31,11 @@ const LINGER: Duration = Duration::from_secs(3);
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// Datagrams that are handled before timers and sending have their turn.
 const BATCH: usize = 64;
+
+/// A vehicle's links. A station that does not read for some seconds of pictures is closed: it is to see
+/// the present. The vehicle keeps its own list of who speaks by UDP.
+pub const LINKS: LinkOptions =
+    LinkOptions { backlog: Backlog::Close(1 << 20), connects_later: false, max_streams: 16, udp_peers: None };
 
 /// Why a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,7 +91,7 @@ impl Shell {
     /// Puts a vehicle on a socket; `peer` is spoken to first, if given.
     #[must_use]
     pub fn new(socket: UdpSocket, vehicle: Vehicle, peer: Option<SocketAddr>) -> Self {
-        Self::over(Links::of_socket(socket, peer), vec![vehicle])
+        Self::over(Links::of_socket(socket, peer, LINKS), vec![vehicle])
     }
 
     /// Puts vehicles, of which there must be one at least, behind endpoints that they share.
@@ -210,22 +215,21 @@ impl Shell {
 
     /// Hands what has come to the vehicles, and what else is there already.
     fn arrived(&mut self, first: Arrival) {
-        let mut next = Some(first);
+        self.hand_over(first);
         for _ in 0..BATCH {
-            let Some(arrival) = next else { return };
-            let now = self.start.elapsed();
-            for vehicle in &mut self.vehicles {
-                match arrival {
-                    Arrival::Bytes(from, length) => vehicle.datagram(&self.buffer[..length], from, now),
-                    Arrival::Connected(peer) => vehicle.connected(peer, now),
-                    Arrival::Closed(peer) => vehicle.closed(peer),
-                }
-            }
-            next = self.links.try_receive(&mut self.buffer);
+            let Some(arrival) = self.links.try_receive(&mut self.buffer) else { return };
+            self.hand_over(arrival);
         }
-        if let Some(Arrival::Bytes(from, length)) = next {
-            let now = self.start.elapsed();
-            self.vehicles.iter_mut().for_each(|vehicle| vehicle.datagram(&self.buffer[..length], from, now));
+    }
+
+    fn hand_over(&mut self, arrival: Arrival) {
+        let now = self.start.elapsed();
+        for vehicle in &mut self.vehicles {
+            match arrival {
+                Arrival::Bytes(from, length) => vehicle.datagram(&self.buffer[..length], from, now),
+                Arrival::Connected(peer) => vehicle.connected(peer, now),
+                Arrival::Closed(peer) => vehicle.closed(peer),
+            }
         }
     }
 
@@ -251,6 +255,11 @@ impl Shell {
         }
     }
 
+    /// Writes what waits for stations that read slowly, for two seconds at most.
+    pub async fn close(&mut self) {
+        self.links.close().await;
+    }
+
     /// Whether all flights are over and need not wait for their acknowledgement any longer; `last` is
     /// the end of that wait, once it has begun.
     fn ended(&self, last: &mut Option<Instant>) -> Option<Ended> {
@@ -270,9 +279,13 @@ impl Shell {
     async fn flush(&mut self) {
         for vehicle in &mut self.vehicles {
             while let Some((to, bytes)) = vehicle.poll() {
-                self.links.send(to, &bytes).await;
+                // A peer that has gone away is no reason to stop.
+                if let Err(error) = self.links.send(to, &bytes) {
+                    tracing::debug!(%to, "sending: {error}");
+                }
             }
         }
+        self.links.flush().await;
     }
 }
 
@@ -311,7 +324,7 @@ mod tests {
     #[tokio::test]
     async fn vehicles_that_share_endpoints_answer_for_themselves_by_udp_and_tcp() {
         let endpoints = ["udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"].map(|text| text.parse().unwrap());
-        let links = Links::open(&endpoints).await.unwrap();
+        let links = Links::open(&endpoints, LINKS).await.unwrap();
         let vehicles = [1, 2].map(|system| Vehicle::new(Sim::new(Scenario::default(), 1), system, None));
         let mut shell = Shell::over(links, vehicles.into());
         let told: Vec<SocketAddr> =

@@ -6,35 +6,43 @@ use std::time::{Duration, Instant};
 
 /// Parts that each power of two is cut into: a value is known within 3 %.
 const PARTS: usize = 32;
+/// Enough places for any number of microseconds in 64 bits.
+const PLACES: usize = PARTS * 60;
 
-/// A histogram of durations, from a microsecond up, in constant memory.
-#[derive(Debug, Clone)]
+/// A histogram of durations, from a microsecond up, in at most 15 KiB.
+///
+/// A place holds the durations above its lower bound up to its upper bound, whole microseconds, and
+/// powers of two are among the bounds.
+#[derive(Debug, Clone, Default)]
 pub struct Histogram {
+    /// As many places as the longest duration needs.
     counts: Vec<u64>,
     total: u64,
+    sum: Duration,
     largest: Duration,
-}
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self { counts: vec![0; PARTS * 60], total: 0, largest: Duration::ZERO }
-    }
 }
 
 impl Histogram {
     /// Adds a duration.
     pub fn add(&mut self, duration: Duration) {
-        self.counts[place(u64::try_from(duration.as_micros()).unwrap_or(u64::MAX))] += 1;
+        let place = place(duration);
+        if place >= self.counts.len() {
+            self.counts.resize(place + 1, 0);
+        }
+        self.counts[place] += 1;
         self.total += 1;
+        self.sum = self.sum.saturating_add(duration);
         self.largest = self.largest.max(duration);
     }
 
     /// Adds all of another.
     pub fn merge(&mut self, other: &Self) {
+        self.counts.resize(self.counts.len().max(other.counts.len()), 0);
         for (mine, theirs) in self.counts.iter_mut().zip(&other.counts) {
             *mine += theirs;
         }
         self.total += other.total;
+        self.sum = self.sum.saturating_add(other.sum);
         self.largest = self.largest.max(other.largest);
     }
 
@@ -44,7 +52,20 @@ impl Histogram {
         self.total
     }
 
-    /// The duration that this part, 0 to 1, of all do not exceed by more than 3 %.
+    /// All together.
+    #[must_use]
+    pub fn sum(&self) -> Duration {
+        self.sum
+    }
+
+    /// How many are not longer than a bound: exact for 2^k µs, else for the next place's end below it.
+    #[must_use]
+    pub fn at_most(&self, bound: Duration) -> u64 {
+        let us = u64::try_from(bound.as_micros()).unwrap_or(u64::MAX);
+        self.counts.iter().take(place_of(us)).sum()
+    }
+
+    /// A duration that this part, 0 to 1, of all do not exceed, too long by 3 % at most; 0 without any.
     #[must_use]
     pub fn percentile(&self, part: f64) -> Duration {
         let rank = (part * self.total as f64).ceil().max(1.0) as u64;
@@ -52,7 +73,7 @@ impl Histogram {
         for (place, &count) in self.counts.iter().enumerate() {
             seen += count;
             if seen >= rank {
-                return Duration::from_micros(value(place)).min(self.largest);
+                return Duration::from_micros(bound(place + 1)).min(self.largest);
             }
         }
         self.largest
@@ -65,20 +86,31 @@ impl Histogram {
     }
 }
 
-fn place(us: u64) -> usize {
+/// Where a duration is counted: with those up to a whole microsecond above its place's lower bound.
+fn place(duration: Duration) -> usize {
+    let begun = duration.as_nanos().div_ceil(1000).saturating_sub(1);
+    place_of(u64::try_from(begun).unwrap_or(u64::MAX))
+}
+
+/// The place whose lower bound is the last one not above `us`.
+fn place_of(us: u64) -> usize {
     let parts = PARTS as u64;
     if us < parts {
         return us as usize;
     }
     // Bits above the five that tell parts apart.
     let shift = u64::from(us.ilog2() - parts.ilog2());
-    (((shift << parts.ilog2()) + (us >> shift)) as usize).min(PARTS * 60 - 1)
+    ((shift << parts.ilog2()) + (us >> shift)) as usize
 }
 
-/// The smallest value of a place, µs.
-fn value(place: usize) -> u64 {
+/// The lower bound of a place, µs.
+fn bound(place: usize) -> u64 {
     let (shift, part) = (place / PARTS, place % PARTS);
-    if shift == 0 { part as u64 } else { ((PARTS + part) as u64) << (shift - 1) }
+    match shift {
+        0 => part as u64,
+        _ if place >= PLACES => u64::MAX,
+        _ => ((PARTS + part) as u64) << (shift - 1),
+    }
 }
 
 /// The wall's and the processor's time since it was made.
@@ -177,14 +209,44 @@ mod tests {
     }
 
     #[test]
+    fn quantiles_bound_what_was_added() {
+        let mut histogram = Histogram::default();
+        assert_eq!(histogram.percentile(0.5), Duration::ZERO);
+        for us in [1, 3, 3, 900] {
+            histogram.add(Duration::from_micros(us));
+        }
+        for (part, us) in [(0.25, 1), (0.75, 3), (1.0, 900)] {
+            assert_eq!(histogram.percentile(part), Duration::from_micros(us), "{part}");
+        }
+        assert_eq!(histogram.sum(), Duration::from_micros(907));
+        histogram.add(Duration::from_secs(3600));
+        assert_eq!(histogram.percentile(1.0), Duration::from_secs(3600));
+    }
+
+    #[test]
+    fn what_a_power_of_two_bounds_is_counted_to_the_nanosecond() {
+        for k in 0..40 {
+            let limit = Duration::from_micros(1 << k);
+            let mut histogram = Histogram::default();
+            histogram.add(limit);
+            assert_eq!(histogram.at_most(limit), 1, "{k}");
+            histogram.add(limit + Duration::from_nanos(1));
+            assert_eq!(histogram.at_most(limit), 1, "{k}");
+        }
+    }
+
+    #[test]
     fn any_duration_has_a_place() {
         let mut histogram = Histogram::default();
         for duration in [Duration::ZERO, Duration::from_micros(1), Duration::MAX] {
             histogram.add(duration);
         }
         assert_eq!((histogram.count(), histogram.largest()), (3, Duration::MAX));
-        for us in [0, 1, 31, 32, 33, 63, 64, 1000, 123_456] {
-            assert!(value(place(us)) <= us && us as f64 <= value(place(us)) as f64 * 1.04, "{us}");
+        assert_eq!(histogram.counts.len(), PLACES);
+        for us in [1, 31, 32, 33, 63, 64, 1000, 123_456, 1 << 62] {
+            let place = place(Duration::from_micros(us));
+            assert!(bound(place) < us && us <= bound(place + 1), "{us}");
+            assert!(bound(place + 1) as f64 <= us as f64 * 1.04, "{us}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crpl_sitl::link::sequence::SequenceTracker;
 use crpl_sitl::link::splitter::Counts;
+use crpl_sitl::program::timing::Histogram;
 
 /// Counters of one link since it began.
 #[derive(Debug, Clone, Default)]
@@ -28,7 +29,7 @@ pub struct Counters {
     /// Datagrams that the system would not send.
     pub send_errors: u64,
     /// From a request that was passed on to its answer on this link: commands, TIMESYNC, PING.
-    pub round_trip: LatencyHistogram,
+    pub round_trip: Histogram,
     /// When the last good frame came, on the router's clock.
     pub last_heard: Option<Duration>,
 }
@@ -60,73 +61,21 @@ impl Counters {
     }
 }
 
-/// Bounds of the buckets, 1 µs · 2^k.
-const BUCKETS: usize = 24;
+/// Buckets for Prometheus: up to 1 µs, 2 µs and so on, to 8 s.
+const BUCKETS: u32 = 24;
 
-/// Durations by powers of two, from 1 µs to 8 s.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct LatencyHistogram {
-    counts: [u64; BUCKETS],
-    total: u64,
-    sum: Duration,
-    longest: Duration,
-}
-
-impl LatencyHistogram {
-    /// Adds one duration.
-    pub fn add(&mut self, duration: Duration) {
-        let bucket = (duration.as_nanos().saturating_sub(1) / 1000).max(1).ilog2() as usize
-            + usize::from(duration.as_nanos() > 1000);
-        if let Some(count) = self.counts.get_mut(bucket) {
-            *count += 1;
-        }
-        self.total += 1;
-        self.sum += duration;
-        self.longest = self.longest.max(duration);
+/// The lines of a Prometheus histogram in seconds.
+fn export(histogram: &Histogram, out: &mut String, name: &str, label: &str) {
+    let comma = if label.is_empty() { "" } else { "," };
+    for bound in (0..BUCKETS).map(|k| Duration::from_micros(1 << k)) {
+        let (le, below) = (bound.as_secs_f64(), histogram.at_most(bound));
+        let _ = writeln!(out, "{name}_bucket{{{label}{comma}le=\"{le}\"}} {below}");
     }
-
-    /// How many there are.
-    #[must_use]
-    pub fn total(&self) -> u64 {
-        self.total
-    }
-
-    /// The longest.
-    #[must_use]
-    pub fn longest(&self) -> Duration {
-        self.longest
-    }
-
-    /// A bound that the part `q` of all durations keeps, exact to a factor of two; `None` without any.
-    #[must_use]
-    pub fn quantile(&self, q: f64) -> Option<Duration> {
-        let rank = (q * self.total as f64).ceil() as u64;
-        let mut below = 0;
-        let bucket = self.counts.iter().position(|count| {
-            below += count;
-            below >= rank
-        });
-        (self.total > 0).then(|| bucket.map_or(self.longest, bound).min(self.longest))
-    }
-
-    /// The lines of a Prometheus histogram in seconds.
-    fn export(&self, out: &mut String, name: &str, label: &str) {
-        let mut below = 0;
-        let comma = if label.is_empty() { "" } else { "," };
-        for (bucket, count) in self.counts.iter().enumerate() {
-            below += count;
-            let le = bound(bucket).as_secs_f64();
-            let _ = writeln!(out, "{name}_bucket{{{label}{comma}le=\"{le}\"}} {below}");
-        }
-        let _ = writeln!(out, "{name}_bucket{{{label}{comma}le=\"+Inf\"}} {}", self.total);
-        let braces = if label.is_empty() { String::new() } else { format!("{{{label}}}") };
-        let _ = writeln!(out, "{name}_sum{braces} {}", self.sum.as_secs_f64());
-        let _ = writeln!(out, "{name}_count{braces} {}", self.total);
-    }
-}
-
-fn bound(bucket: usize) -> Duration {
-    Duration::from_micros(1 << bucket)
+    let total = histogram.count();
+    let _ = writeln!(out, "{name}_bucket{{{label}{comma}le=\"+Inf\"}} {total}");
+    let braces = if label.is_empty() { String::new() } else { format!("{{{label}}}") };
+    let _ = writeln!(out, "{name}_sum{braces} {}", histogram.sum().as_secs_f64());
+    let _ = writeln!(out, "{name}_count{braces} {total}");
 }
 
 /// A link as it is shown.
@@ -152,10 +101,10 @@ pub fn table(rows: &[LinkRow<'_>], before: &[(u64, u64)], period: Duration) -> S
         let c = row.counters;
         let (received, sent) = before.get(k).copied().unwrap_or_default();
         let rate = |now: u64, then: u64| now.saturating_sub(then) as f64 / seconds;
-        let trip = c
-            .round_trip
-            .quantile(0.99)
-            .map_or("-".into(), |trip| format!("{:.2} ms", trip.as_secs_f64() * 1e3));
+        let trip = match c.round_trip.count() {
+            0 => "-".into(),
+            _ => format!("{:.2} ms", c.round_trip.percentile(0.99).as_secs_f64() * 1e3),
+        };
         let mut systems: Vec<_> = row.systems.iter().map(|(s, c)| format!("{s}/{c}")).collect();
         if systems.len() > 6 {
             let more = systems.len() - 6;
@@ -182,7 +131,7 @@ pub fn table(rows: &[LinkRow<'_>], before: &[(u64, u64)], period: Duration) -> S
 
 /// All counters in Prometheus' text format, version 0.0.4. `forward` is the time in the bridge.
 #[must_use]
-pub fn prometheus(rows: &[LinkRow<'_>], forward: &LatencyHistogram, now: Duration) -> String {
+pub fn prometheus(rows: &[LinkRow<'_>], forward: &Histogram, now: Duration) -> String {
     type Value = fn(&Counters) -> f64;
     let counters: [(&str, &str, Value); 13] = [
         ("received_frames", "Good frames received.", |c| c.received() as f64),
@@ -218,11 +167,11 @@ pub fn prometheus(rows: &[LinkRow<'_>], forward: &LatencyHistogram, now: Duratio
     let name = "mavlink_bridge_round_trip_seconds";
     let _ = writeln!(out, "# HELP {name} From a request to its answer.\n# TYPE {name} histogram");
     for row in rows {
-        row.counters.round_trip.export(&mut out, name, &label(row));
+        export(&row.counters.round_trip, &mut out, name, &label(row));
     }
     let name = "mavlink_bridge_forward_seconds";
     let _ = writeln!(out, "# HELP {name} From reading a burst to having sent it.\n# TYPE {name} histogram");
-    forward.export(&mut out, name, "");
+    export(forward, &mut out, name, "");
     out
 }
 
@@ -231,38 +180,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_bound_what_was_added() {
-        let mut histogram = LatencyHistogram::default();
-        assert_eq!(histogram.quantile(0.5), None);
-        for us in [1, 3, 3, 900] {
-            histogram.add(Duration::from_micros(us));
-        }
-        assert_eq!(histogram.quantile(0.25), Some(Duration::from_micros(1)));
-        assert_eq!(histogram.quantile(0.75), Some(Duration::from_micros(4)));
-        assert_eq!(histogram.quantile(1.0), Some(Duration::from_micros(900)));
-        histogram.add(Duration::from_secs(3600));
-        assert_eq!(histogram.quantile(1.0), Some(Duration::from_secs(3600)));
-    }
-
-    #[test]
-    fn every_bucket_holds_what_its_bound_says() {
-        for k in 0..BUCKETS {
-            let mut histogram = LatencyHistogram::default();
-            histogram.add(bound(k));
-            assert_eq!(histogram.counts[k], 1, "{k}");
-            histogram.add(bound(k) + Duration::from_nanos(1));
-            assert_eq!(histogram.counts.get(k + 1).copied().unwrap_or(1), 1, "{k}");
-        }
-    }
-
-    #[test]
     fn the_export_has_a_type_for_each_metric_and_a_line_for_each_link() {
         let mut counters = Counters { missing: 2, late: 1, ..Counters::default() };
         counters.frames.frames = 3;
         counters.last_heard = Some(Duration::from_secs(1));
         counters.round_trip.add(Duration::from_micros(2));
         let rows = [LinkRow { name: "udpin:127.0.0.1:14550", systems: vec![(1, 1)], counters: &counters }];
-        let text = prometheus(&rows, &LatencyHistogram::default(), Duration::from_secs(3));
+        let text = prometheus(&rows, &Histogram::default(), Duration::from_secs(3));
         let line = "mavlink_bridge_missing_frames_total{link=\"udpin:127.0.0.1:14550\"} 2";
         assert!(text.lines().any(|l| l == line), "{text}");
         assert!(text.contains("round_trip_seconds_bucket{link=\"udpin:127.0.0.1:14550\",le=\"0.000002\"} 1"));

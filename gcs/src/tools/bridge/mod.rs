@@ -3,9 +3,8 @@
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`router`] | which frame goes where; copies, losses, round trips | sockets, clocks |
-//! | [`hub`] | UDP and TCP sockets around it, in bursts | messages |
+//! | [`hub`] | the router on [`links`](crpl_sitl::link::links), in bursts | messages, sockets |
 //! | [`signer`] | message signing | sockets |
-//! | [`tcp`] | one task a connection | frames |
 //! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
 //! | [`metrics`] | `GET /metrics` | what it serves |
 
@@ -16,7 +15,6 @@ pub mod hub;
 pub mod metrics;
 pub mod router;
 pub mod signer;
-pub mod tcp;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

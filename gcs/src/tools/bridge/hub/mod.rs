@@ -1,48 +1,40 @@
-//! The sockets around a [`Router`]: UDP and TCP, listening and speaking first, read in bursts.
+//! A [`Router`] on [`Links`]: reads in bursts, routes, sends.
 //!
 //! A program that flies has a link of its own in it ([`Hub::local`]), so whoever watches through
-//! the same program hears all that it says. Knows no message.
+//! the same program hears all that it says. Knows no message and opens no socket.
 
-#![expect(clippy::disallowed_methods, reason = "a shell: it has the sockets and their clock")]
+#![expect(clippy::disallowed_methods, reason = "a shell: it has the links' clock")]
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
-use std::future::poll_fn;
-use std::io::{self, BufWriter, ErrorKind};
-use std::net::SocketAddr;
+use std::io::BufWriter;
 use std::path::Path;
-use std::pin::pin;
-use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result};
+use crpl_sitl::link::PeerId;
 use crpl_sitl::link::decoder::Decoder;
-use crpl_sitl::link::endpoint::{Direction, Endpoint, Transport};
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links, UdpPeers};
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::tlog::Tlog;
-use tokio::net::UdpSocket;
+use crpl_sitl::program::timing::Histogram;
 use tokio::time::Instant;
 
-use super::counters::{LatencyHistogram, LinkRow};
+use super::counters::LinkRow;
 use super::router::{LinkId, Notice, Router};
 use super::signer::LinkSigner;
-use super::tcp::{Streams, TcpEvent};
 
-/// Datagrams that are read from one socket before the others have their turn.
+/// Datagrams and parts of streams that are read before what they bring is sent.
 const BURST: usize = 128;
-/// Peers of one listening socket; the one silent for longest makes room for a new one.
-const MAX_PEERS: usize = 64;
-
-/// A UDP socket and those behind it.
-#[derive(Debug)]
-struct UdpPort {
-    endpoint: String,
-    socket: UdpSocket,
-    /// Whether others than the first peer may speak.
-    open: bool,
-    side: LinkSide,
-    peers: Vec<UdpPeer>,
-}
+/// A router's links. A tool that does not read misses what it cannot take, and stays; who listens at a
+/// `tcpout` endpoint may come later. A UDP peer is forgotten after a minute of silence, as mavp2p does.
+const LINKS: LinkOptions = LinkOptions {
+    backlog: Backlog::Drop(1 << 20),
+    connects_later: true,
+    max_streams: 512,
+    udp_peers: Some(UdpPeers { most: 64, silence: Duration::from_secs(60) }),
+};
 
 /// The side of the program that an endpoint belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,28 +45,23 @@ pub enum LinkSide {
     Tools,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct UdpPeer {
-    address: SocketAddr,
-    link: LinkId,
-    heard: Duration,
-}
-
 /// Where a link's datagrams leave.
 #[derive(Debug, Clone, Copy)]
 enum Exit {
     Local,
-    Udp(usize, SocketAddr),
-    Tcp,
+    Peer(PeerId),
 }
 
-/// Sockets and router.
+/// Links and router.
 #[derive(Debug)]
 pub struct Hub {
     router: Router,
-    ports: Vec<UdpPort>,
-    streams: Streams,
+    links: Links,
+    /// The side of each endpoint.
+    sides: Vec<LinkSide>,
     exits: BTreeMap<LinkId, Exit>,
+    /// The link of each peer.
+    peers: BTreeMap<PeerId, LinkId>,
     local: Option<LinkId>,
     heard: VecDeque<Vec<u8>>,
     tlog: Option<Tlog<BufWriter<File>>>,
@@ -83,9 +70,7 @@ pub struct Hub {
     vehicle_signer: Option<LinkSigner>,
     /// The links of the vehicle's side, if it is signed.
     signed_links: BTreeMap<LinkId, Decoder>,
-    /// TCP endpoints of the vehicle's side: how their connections' names begin.
-    vehicle_streams: Vec<String>,
-    forward: LatencyHistogram,
+    forward: Histogram,
     start: Instant,
     /// When the last burst was there to be read.
     arrived: Instant,
@@ -94,27 +79,31 @@ pub struct Hub {
 
 impl Default for Hub {
     fn default() -> Self {
+        Self::new(LINKS)
+    }
+}
+
+impl Hub {
+    fn new(options: LinkOptions) -> Self {
         Self {
             router: Router::default(),
-            ports: Vec::new(),
-            streams: Streams::default(),
+            links: Links::new(options),
+            sides: Vec::new(),
             exits: BTreeMap::new(),
+            peers: BTreeMap::new(),
             local: None,
             heard: VecDeque::new(),
             tlog: None,
             signer: None,
             vehicle_signer: None,
             signed_links: BTreeMap::new(),
-            vehicle_streams: Vec::new(),
-            forward: LatencyHistogram::default(),
+            forward: Histogram::default(),
             start: Instant::now(),
             arrived: Instant::now(),
-            buffer: vec![0; 65_536],
+            buffer: vec![0; BUFFER],
         }
     }
-}
 
-impl Hub {
     /// Opens an endpoint; gives it with the port that the system chose, as one line to print.
     pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
         self.open_on(endpoint, LinkSide::Tools).await
@@ -122,31 +111,12 @@ impl Hub {
 
     /// The same on a side; with [`Hub::sign_vehicle_side`], call that first.
     pub async fn open_on(&mut self, endpoint: &Endpoint, side: LinkSide) -> Result<String> {
-        if endpoint.transport == Transport::Tcp {
-            let (name, told) = self.streams.open(endpoint).await?;
-            if side == LinkSide::Vehicle {
-                self.vehicle_streams.push(name);
-            }
-            return Ok(told);
+        let index = self.links.add(endpoint).await?;
+        self.sides.push(side);
+        if let Some(peer) = self.links.fixed_at(index) {
+            self.meet(peer);
         }
-        let (socket, peer) = endpoint.open().await?;
-        let local = socket.local_addr().context("reading the socket's address")?;
-        let port = self.ports.len();
-        let mut peers = Vec::new();
-        if let Some(address) = peer {
-            let link = self.router.add(endpoint.to_string());
-            self.exits.insert(link, Exit::Udp(port, address));
-            self.sign_link(link, side, Decoder::default());
-            peers.push(UdpPeer { address, link, heard: Duration::ZERO });
-        }
-        let open = endpoint.direction == Direction::In;
-        let name = if open { format!("udpin:{local}") } else { endpoint.to_string() };
-        self.ports.push(UdpPort { endpoint: name.clone(), socket, open, side, peers });
-        Ok(if open {
-            format!("listening on {name}")
-        } else {
-            format!("sending to {name} from port {}", local.port())
-        })
+        Ok(self.links.describe().swap_remove(index))
     }
 
     /// The link of this program itself.
@@ -177,12 +147,6 @@ impl Hub {
         Ok(())
     }
 
-    fn sign_link(&mut self, link: LinkId, side: LinkSide, decoder: Decoder) {
-        if side == LinkSide::Vehicle && self.vehicle_signer.is_some() {
-            self.signed_links.insert(link, decoder);
-        }
-    }
-
     /// Hands the tlog, and the timestamps of signatures, to their files; once a second is often enough.
     pub fn save(&mut self) -> Result<()> {
         self.write(false)
@@ -190,7 +154,7 @@ impl Hub {
 
     /// The same at the end, when every stream has written what waits.
     pub async fn close(&mut self) -> Result<()> {
-        self.streams.close().await;
+        self.links.close().await;
         self.write(true)
     }
 
@@ -224,7 +188,7 @@ impl Hub {
 
     /// From reading a burst to having sent what it holds.
     #[must_use]
-    pub fn forward(&self) -> &LatencyHistogram {
+    pub fn forward(&self) -> &Histogram {
         &self.forward
     }
 
@@ -280,109 +244,73 @@ impl Hub {
     ///
     /// Cancel-safe: nothing that was read is lost.
     pub async fn turn(&mut self) -> Result<()> {
-        let event = {
-            let mut stream = pin!(self.streams.next());
-            let ports = &self.ports;
-            poll_fn(|cx| {
-                if let Poll::Ready(event) = stream.as_mut().poll(cx) {
-                    return Poll::Ready(Some(event));
-                }
-                let ready = ports.iter().filter(|p| p.socket.poll_recv_ready(cx).is_ready()).count();
-                if ready > 0 { Poll::Ready(None) } else { Poll::Pending }
-            })
-            .await
-        };
+        let first = self.links.receive(&mut self.buffer).await;
         self.arrived = Instant::now();
-        if let Some(event) = event {
-            self.stream_event(event)?;
-        }
-        for port in 0..self.ports.len() {
-            self.burst(port)?;
-        }
+        // Out of `self` while it is read from; never across an await.
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let taken = self.burst(first, &mut buffer);
+        self.buffer = buffer;
+        taken?;
         self.flush().await;
         self.forward.add(self.arrived.elapsed());
         Ok(())
     }
 
-    /// Reads what a socket holds, up to a limit.
-    fn burst(&mut self, port: usize) -> Result<()> {
-        let mut buffer = std::mem::take(&mut self.buffer);
-        for _ in 0..BURST {
-            let (length, from) = match self.ports[port].socket.try_recv_from(&mut buffer) {
-                Ok(received) => received,
-                Err(error) if error.kind() == ErrorKind::WouldBlock => break,
-                // Errors of a UDP socket are about earlier sendings; the peer may come yet.
-                Err(error) => {
-                    tracing::debug!("{}: receiving: {error}", self.ports[port].endpoint);
-                    continue;
-                }
-            };
-            if let Some(link) = self.peer(port, from) {
-                self.receive(link, &buffer[..length])?;
-            }
+    /// Takes what has come, and what else is there, up to a limit.
+    fn burst(&mut self, first: Arrival, buffer: &mut [u8]) -> Result<()> {
+        self.take_arrival(first, buffer)?;
+        for _ in 1..BURST {
+            let Some(next) = self.links.try_receive(buffer) else { break };
+            self.take_arrival(next, buffer)?;
         }
-        self.buffer = buffer;
+        Ok(())
+    }
+
+    fn take_arrival(&mut self, arrival: Arrival, buffer: &[u8]) -> Result<()> {
+        match arrival {
+            Arrival::Bytes(from, length) => {
+                let link = self.link_of(from);
+                return self.receive(link, &buffer[..length]);
+            }
+            Arrival::Connected(peer) => {
+                self.forget(peer);
+                let link = self.meet(peer);
+                tracing::info!("{}: connected", self.router.name(link));
+            }
+            Arrival::Closed(peer) => self.forget(peer),
+        }
         Ok(())
     }
 
     /// The link of a peer, which may be new.
-    fn peer(&mut self, port: usize, address: SocketAddr) -> Option<LinkId> {
-        let now = self.elapsed();
-        let UdpPort { endpoint, open, side, peers, .. } = &mut self.ports[port];
-        let side = *side;
-        if let Some(peer) = peers.iter_mut().find(|peer| peer.address == address) {
-            peer.heard = now;
-            return Some(peer.link);
-        }
-        if !*open {
-            // The peer may answer from another of its addresses, or of its ports: it is one link.
-            return peers.first().map(|peer| peer.link);
-        }
-        if peers.len() == MAX_PEERS
-            && let Some(oldest) = (0..peers.len()).min_by_key(|&k| peers[k].heard)
-        {
-            let gone = peers.swap_remove(oldest).link;
-            self.router.remove(gone);
-            self.exits.remove(&gone);
-            self.signed_links.remove(&gone);
-        }
-        let link = self.router.add(format!("{endpoint} < {address}"));
-        tracing::info!("{endpoint}: {address} speaks");
-        peers.push(UdpPeer { address, link, heard: now });
-        self.exits.insert(link, Exit::Udp(port, address));
-        self.sign_link(link, side, Decoder::default());
-        Some(link)
+    fn link_of(&mut self, peer: PeerId) -> LinkId {
+        // Whom we speak to may answer from another of its addresses, or of its ports: it is one link.
+        let known = self.peers.get(&peer).or_else(|| self.peers.get(&self.links.fixed_at(peer.endpoint)?));
+        known.copied().unwrap_or_else(|| {
+            tracing::info!("{}: {peer} speaks", self.links.name(peer.endpoint));
+            self.meet(peer)
+        })
     }
 
-    fn stream_event(&mut self, event: TcpEvent) -> Result<()> {
-        match event {
-            TcpEvent::Connected { name, writer } => {
-                tracing::info!("{name}: connected");
-                let link = self.router.add(name.clone());
-                let of_vehicle = self.vehicle_streams.iter().any(|of| {
-                    name.strip_prefix(of.as_str())
-                        .is_some_and(|peer| peer.is_empty() || peer.starts_with(" < "))
-                });
-                let side = if of_vehicle { LinkSide::Vehicle } else { LinkSide::Tools };
-                self.sign_link(link, side, Decoder::of_stream());
-                self.streams.add(name, link, writer);
-                self.exits.insert(link, Exit::Tcp);
-            }
-            TcpEvent::Bytes { name, bytes } => {
-                if let Some(link) = self.streams.link(&name) {
-                    self.receive(link, &bytes)?;
-                }
-            }
-            TcpEvent::Closed { name } => {
-                tracing::info!("{name}: closed");
-                if let Some(link) = self.streams.remove(&name) {
-                    self.router.remove(link);
-                    self.exits.remove(&link);
-                    self.signed_links.remove(&link);
-                }
-            }
+    /// A link for a new peer.
+    fn meet(&mut self, peer: PeerId) -> LinkId {
+        let link = self.router.add(self.links.peer_name(peer));
+        self.exits.insert(link, Exit::Peer(peer));
+        self.peers.insert(peer, link);
+        if self.sides[peer.endpoint] == LinkSide::Vehicle && self.vehicle_signer.is_some() {
+            let stream = self.links.is_stream(peer.endpoint);
+            self.signed_links.insert(link, if stream { Decoder::of_stream() } else { Decoder::default() });
         }
-        Ok(())
+        link
+    }
+
+    /// A peer has gone, if it was one.
+    fn forget(&mut self, peer: PeerId) {
+        let Some(link) = self.peers.remove(&peer) else { return };
+        tracing::info!("{}: closed", self.router.name(link));
+        self.router.remove(link);
+        self.exits.remove(&link);
+        self.signed_links.remove(&link);
     }
 
     fn receive(&mut self, from: LinkId, bytes: &[u8]) -> Result<()> {
@@ -408,38 +336,32 @@ impl Hub {
     }
 
     async fn flush(&mut self) {
-        let Self { router, ports, streams, exits, heard, vehicle_signer, signed_links, .. } = self;
-        let (mut failed, mut blocked) = (Vec::new(), Vec::new());
+        let Self { router, links, exits, heard, vehicle_signer, signed_links, .. } = self;
         let mut send = |link, datagram: &[u8]| match exits.get(&link) {
-            Some(Exit::Local) => heard.push_back(datagram.to_vec()),
-            Some(Exit::Tcp) if streams.send(link, datagram) => {}
-            Some(Exit::Tcp) => failed.push((link, datagram.len())),
-            Some(&Exit::Udp(port, address)) => match ports[port].socket.try_send_to(datagram, address) {
-                Ok(_) => {}
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                    blocked.push((link, port, address, datagram.to_vec()));
-                }
-                Err(error) => {
-                    tracing::debug!("{address}: sending: {error}");
-                    failed.push((link, datagram.len()));
-                }
-            },
-            None => {}
+            Some(Exit::Local) => {
+                heard.push_back(datagram.to_vec());
+                true
+            }
+            Some(Exit::Peer(peer)) => {
+                let sent = links.send(*peer, datagram);
+                sent.inspect_err(|error| tracing::debug!(%peer, "sending: {error}")).is_ok()
+            }
+            None => false,
         };
         router.flush(|link, datagram| match vehicle_signer {
             Some(signer) if signed_links.contains_key(&link) => {
-                signer.sign(datagram).iter().for_each(|part| send(link, part));
+                let mut sent = true;
+                for part in signer.sign(datagram) {
+                    sent &= send(link, &part);
+                }
+                sent
             }
             _ => send(link, datagram),
         });
-        for (link, port, address, datagram) in blocked {
-            let sent: io::Result<_> = self.ports[port].socket.send_to(&datagram, address).await;
-            if sent.is_err() {
-                failed.push((link, datagram.len()));
+        for (peer, bytes) in self.links.flush().await {
+            if let Some(link) = self.peers.get(&peer) {
+                self.router.not_sent(*link, bytes);
             }
-        }
-        for (link, bytes) in failed {
-            self.router.not_sent(link, bytes);
         }
     }
 }

@@ -1,7 +1,7 @@
 use crpl_sitl::link::dialect;
 use crpl_sitl::link::encoder::Encoder;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::time::timeout;
 
 use super::*;

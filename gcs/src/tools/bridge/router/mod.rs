@@ -96,26 +96,27 @@ impl Source {
 #[derive(Debug, Default)]
 struct Outbox {
     bytes: Vec<u8>,
-    /// Where datagrams end, but for the last.
-    ends: Vec<usize>,
-    /// Where the frames of the datagram being routed begin, and which datagram that is.
-    group: (u64, usize),
+    /// Where datagrams end, but for the last: after how many bytes and frames.
+    ends: Vec<(usize, u64)>,
+    /// The datagram being routed, and where its frames begin: after how many bytes and frames.
+    group: (u64, usize, u64),
     frames: u64,
 }
 
 impl Outbox {
     fn push(&mut self, frame: &[u8], group: u64) {
-        let begin = self.ends.last().copied().unwrap_or(0);
+        let begin = self.ends.last().map_or(0, |end| end.0);
         if self.group.0 != group {
-            self.group = (group, self.bytes.len());
+            self.group = (group, self.bytes.len(), self.frames);
         }
-        if self.bytes.len() - begin + frame.len() > DATAGRAM && self.bytes.len() > begin {
+        let all = (self.bytes.len(), self.frames);
+        if all.0 - begin + frame.len() > DATAGRAM && all.0 > begin {
             // Moves the whole group into the next datagram, if it is not this datagram already.
-            let end = if self.group.1 > begin { self.group.1 } else { self.bytes.len() };
+            let end = if self.group.1 > begin { (self.group.1, self.group.2) } else { all };
             self.ends.push(end);
             // The group may be too long for a datagram of its own.
-            if self.bytes.len() - end + frame.len() > DATAGRAM && self.bytes.len() > end {
-                self.ends.push(self.bytes.len());
+            if all.0 - end.0 + frame.len() > DATAGRAM && all.0 > end.0 {
+                self.ends.push(all);
             }
         }
         self.bytes.extend_from_slice(frame);
@@ -248,8 +249,6 @@ impl Router {
                 || link.sources.get(&source).is_some_and(|s| now.saturating_sub(s.heard) < LIVES_HERE);
             if id != from && wanted && !lives_there() {
                 link.out.push(frame.raw, group);
-                link.counters.sent_frames += 1;
-                link.counters.sent_bytes += frame.raw.len() as u64;
             }
         }
         true
@@ -362,18 +361,25 @@ impl Router {
         }
     }
 
-    /// Hands out everything that is to be sent: datagrams that fit a network's packets.
-    pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8])) {
-        for (&id, link) in &mut self.links {
-            let out = &mut link.out;
-            let mut begin = 0;
-            for end in out.ends.drain(..).chain([out.bytes.len()]) {
-                if end > begin {
-                    send(id, &out.bytes[begin..end]);
-                    begin = end;
+    /// Hands out everything that is to be sent: datagrams that fit a network's packets. `send` gives whether
+    /// it was sent; only then it counts so.
+    pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8]) -> bool) {
+        for (&id, Link { out, counters, .. }) in &mut self.links {
+            let mut begin = (0, 0);
+            for end in out.ends.drain(..).chain([(out.bytes.len(), out.frames)]) {
+                if end.0 == begin.0 {
+                    continue;
                 }
+                if send(id, &out.bytes[begin.0..end.0]) {
+                    counters.sent_frames += end.1 - begin.1;
+                    counters.sent_bytes += (end.0 - begin.0) as u64;
+                } else {
+                    counters.send_errors += 1;
+                }
+                begin = end;
             }
             out.bytes.clear();
+            out.frames = 0;
         }
     }
 
@@ -384,7 +390,7 @@ impl Router {
         }
     }
 
-    /// A datagram could not be sent.
+    /// A datagram that counts as sent could not be sent after all.
     pub fn not_sent(&mut self, id: LinkId, bytes: usize) {
         if let Some(link) = self.links.get_mut(&id) {
             link.counters.send_errors += 1;
