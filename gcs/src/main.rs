@@ -1,15 +1,16 @@
 //! `gcs`: flies a UAV from camera frames.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 use crpl_gcs::flight::foreign::guide::ForeignStack;
 use crpl_gcs::flight::foreign::{self, Foreign};
-use crpl_gcs::flight::{self, Options};
+use crpl_gcs::flight::{self, Options, world};
+use crpl_gcs::lab::crew::LoggedStation;
 use crpl_gcs::lab::demo::{self, DemoFlight};
-use crpl_gcs::lab::run_folder::RunFolder;
+use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{check, episodes, optimise, policies, report};
@@ -19,7 +20,7 @@ use crpl_gcs::tools::{bridge, mission, param, replay};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::cli::Pace;
-use crpl_sitl::program::terminal::{self, folder, positive};
+use crpl_sitl::program::terminal::{self, ExitWith, folder, positive};
 use crpl_sitl::scenario::presets;
 
 /// A ground station that flies a UAV from camera frames over MAVLink: CRPL and its baselines.
@@ -84,9 +85,12 @@ struct Demo {
     /// The vehicle refuses unsigned messages and stores its own key in FILE.1
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
-    /// Folder for the run folders, one per controller
-    #[arg(long, value_name = "DIR", default_value = "runs/demo", value_parser = folder)]
-    out: PathBuf,
+    /// Folder for the run folders, one per controller [default: runs/demo, or runs/demo-2 ... where that is taken]
+    #[arg(long, value_name = "DIR", value_parser = folder)]
+    out: Option<PathBuf>,
+    /// Replace the flights that are in these folders
+    #[arg(long)]
+    overwrite: bool,
     /// Forward the flights to this endpoint, such as udpout:HOST:PORT; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
@@ -98,7 +102,8 @@ struct Demo {
 #[derive(Debug, clap::Args)]
 #[command(after_help = presets::table())]
 struct Fly {
-    /// Scenario: TOML file or preset [default: 2, or foreign for a foreign autopilot]
+    /// Scenario: TOML file or preset, which must be the vehicle's [default: the vehicle's own, or foreign for a
+    /// foreign autopilot]
     #[arg(long, value_name = "FILE|NAME")]
     scenario: Option<String>,
     #[command(flatten)]
@@ -110,7 +115,7 @@ struct Fly {
     /// Kind of vehicle; a foreign autopilot is armed and takes off
     #[arg(long, value_enum, default_value = "sitl")]
     vehicle: VehicleKind,
-    /// System id of a foreign vehicle [default: the first one heard]
+    /// System id of the vehicle [default: the only one on the link; of a foreign one, the first that is heard]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
     /// Speed of a foreign vehicle's simulator relative to real time
@@ -125,9 +130,12 @@ struct Fly {
     /// Stop after N control intervals [default: the scenario's horizon]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
-    /// Run folder
-    #[arg(long, value_name = "DIR", default_value = "runs/flight", value_parser = folder)]
-    out: PathBuf,
+    /// Run folder [default: runs/flight, or runs/flight-2 ... where that is taken]
+    #[arg(long, value_name = "DIR", value_parser = folder)]
+    out: Option<PathBuf>,
+    /// Replace the flight that is in this folder
+    #[arg(long)]
+    overwrite: bool,
     /// Forward the flight to this endpoint, such as udpout:HOST:PORT; an operator there can take over by a
     /// change of mode; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
@@ -162,7 +170,9 @@ async fn demo(args: Demo) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
+    let out = run_folder::fresh(args.out.as_deref(), "runs/demo")?;
     let mut flights = Vec::new();
+    let mut exit = None;
     for controller in args.controller {
         let flight = DemoFlight {
             controller,
@@ -173,51 +183,70 @@ async fn demo(args: Demo) -> Result<()> {
             signing_key: args.signing_key.as_deref(),
             forward: &args.forward,
         };
-        let dir = args.out.join(controller.to_string());
-        let Some(summary) = demo::fly(&models, &flight, &dir).await? else { break };
-        flights.push(summary);
+        let dir = out.join(controller.to_string());
+        let landed = demo::fly(&models, &flight, &dir, args.overwrite).await?;
+        flights.extend(landed.summary);
+        exit = landed.exit;
+        if exit.is_some() {
+            break;
+        }
     }
-    print_flights(&flights, args.json)?;
-    if !args.json {
-        println!("records, tlog and plot in {}", args.out.display());
-    }
-    Ok(())
+    report_flights(&flights, &out, args.json, exit)
 }
 
 async fn fly(args: Fly) -> Result<()> {
-    let foreign = args.vehicle.foreign();
-    let preset = if foreign.is_some() { "foreign" } else { "2" };
-    let scenario = Scenario::named(args.scenario.as_deref().unwrap_or(preset))?;
     let mut models = args.models.load()?;
-    policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?;
-    let mut station = models.station(args.controller, &scenario)?;
-    let folder = RunFolder::begin(&args.out, &scenario)?;
-    let options = Options {
-        ticks: Some(args.ticks.unwrap_or(scenario.horizon)),
-        tlog: Some(folder.tlog()),
+    let out = run_folder::fresh(args.out.as_deref(), "runs/flight")?;
+    let mut options = Options {
+        ticks: args.ticks,
+        system: args.sysid,
         signing_key: args.signing_key,
         forward: args.forward,
         ..Options::default()
     };
-    tracing::info!(controller = %args.controller, scenario = scenario.name, "connecting to {}", args.connect);
-    let flown = match foreign {
-        Some(stack) => {
-            let how = Foreign { stack, system: args.sysid, speed: args.speed };
-            foreign::fly(&args.connect, &scenario, &how, &options, |p| station.handle(p)).await?
+    let foreign = args.vehicle.foreign();
+    let (session, scenario) = match foreign {
+        Some(_) => (None, Scenario::named(args.scenario.as_deref().unwrap_or("foreign"))?),
+        None => {
+            // What is wrong with the file is said before anybody is asked.
+            let stated = args.scenario.as_deref().map(Scenario::named).transpose()?;
+            tracing::info!(controller = %args.controller, "connecting to {}", args.connect);
+            let mut session = options.find(&args.connect).await?;
+            let scenario = world::agree(&mut session, stated).await?;
+            (Some(session), scenario)
         }
-        None => flight::fly(&args.connect, &scenario, &options, |p| station.handle(p)).await?,
     };
-    if let Some(last) = &flown.last {
-        station.finish(last);
+    policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?;
+    let station = models.station(args.controller, &scenario)?;
+    let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
+    let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;
+    let mut crew = LoggedStation::new(station, folder, args.controller, None);
+    options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
+    let flown = match (foreign, session) {
+        (Some(stack), _) => {
+            let how = Foreign { stack, system: args.sysid, speed: args.speed };
+            foreign::fly(&args.connect, &scenario, &how, &options, &mut crew).await?
+        }
+        (None, Some(session)) => flight::fly_on(session, &scenario, &options, &mut crew).await?,
+        (None, None) => flight::fly(&args.connect, &scenario, &options, &mut crew).await?,
+    };
+    let landed = crew.land(&flown);
+    if landed.summary.is_none() && landed.exit.is_none() {
+        bail!("the flight ended before its first interval");
     }
-    let summary = Summary::of(args.controller, None, &station, &flown)
-        .context("the flight ended before its first interval")?;
-    folder.finish(&summary, station.records(), &scenario)?;
-    print_flights(std::slice::from_ref(&summary), args.json)?;
-    if !args.json {
-        println!("records, tlog and plot in {}", args.out.display());
+    let flights: Vec<Summary> = landed.summary.into_iter().collect();
+    report_flights(&flights, &landed.dir, args.json, landed.exit)
+}
+
+/// Prints what was flown, then ends as the last flight did.
+fn report_flights(flights: &[Summary], out: &Path, json: bool, exit: Option<ExitWith>) -> Result<()> {
+    if !flights.is_empty() {
+        print_flights(flights, json)?;
+        if !json {
+            println!("records, tlog and plot in {}", out.display());
+        }
     }
-    Ok(())
+    exit.map_or(Ok(()), |exit| Err(exit.into()))
 }
 
 fn print_flights(flights: &[Summary], json: bool) -> Result<()> {

@@ -11,7 +11,7 @@ use crpl_sitl::Scenario;
 fn measure(policies: &Policies, scenario: &Scenario, flights: usize, first_seed: u64) -> ConstraintCheck {
     let world = Arc::new(WorldModel::embedded().expect("the shipped model reads"));
     let contender = Contender::with_policies(&world, policies, scenario);
-    ConstraintCheck::measure(&contender, 0.95, flights, first_seed).expect("flights fly")
+    ConstraintCheck::measure(&contender, 0.95, flights, first_seed, None).expect("flights fly")
 }
 
 #[test]

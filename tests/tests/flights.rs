@@ -17,6 +17,7 @@ use crpl_gcs::station::pilot::crpl::Crpl;
 use crpl_gcs::station::pilot::{Controller, Pilot};
 use crpl_gcs::station::seen::MotionLimits;
 use crpl_model::planning::policy::Policies;
+use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use crpl_sitl::vehicle::Vehicle;
@@ -55,7 +56,7 @@ fn through_bytes(controller: Controller) -> Station {
     let (scenario, now) = (scenario(), Duration::ZERO);
     let mut station = models().station(controller, &scenario).unwrap();
     let mut vehicle = Vehicle::new(Sim::new(scenario.clone(), SEED), 1, Some(scenario.horizon));
-    let mut remote = Remote::new(&scenario);
+    let mut remote = Remote::new(&scenario, 1, Encoder::new(255, 190));
     let mut down: VecDeque<Vec<u8>> = [remote.heartbeat(), remote.image_request()].into();
     while !vehicle.acknowledged() {
         for datagram in down.drain(..) {

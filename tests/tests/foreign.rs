@@ -122,7 +122,7 @@ fn a_pilot_s_hand_ends_the_setpoints() {
 #[test]
 fn the_wrong_stack_is_told() {
     let story = story((Stack::Px4, guide::ForeignStack::Ardupilot), |_, _, _| {});
-    let GuideEvent::Failed(why) = &story.end else { panic!("{:?}", story.end) };
+    let GuideEvent::Failed(_, why) = &story.end else { panic!("{:?}", story.end) };
     assert_eq!(why, "vehicle 1 found: PX4, LOITER, disarmed, and not what --vehicle ardupilot flies");
 }
 

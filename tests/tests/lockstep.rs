@@ -7,7 +7,7 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use crpl_gcs::flight::{FlightEnd, Options, fly};
+use crpl_gcs::flight::{Crew, FlightEnd, Options, fly};
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::TxPower;
@@ -72,22 +72,37 @@ fn vehicle(folder: &Path) -> (Program, SocketAddr) {
         .expect("starting sitl")
 }
 
+/// Decides, and remembers all that it saw and said.
+struct Witness {
+    scenario: Scenario,
+    percepts: Vec<Percept>,
+    commands: Vec<Command>,
+    tlog: Option<PathBuf>,
+}
+
+impl Crew for Witness {
+    fn command(&mut self, percept: &Percept) -> Command {
+        let command = decide(percept, &self.scenario);
+        self.percepts.push(percept.clone());
+        self.commands.push(command);
+        command
+    }
+
+    fn begin(&mut self) -> anyhow::Result<Option<PathBuf>> {
+        Ok(self.tlog.clone())
+    }
+}
+
 /// Flies against whatever listens at `address`.
 async fn over_udp(address: SocketAddr, tlog: Option<PathBuf>) -> Vec<String> {
     let scenario = scenario();
-    let (mut percepts, mut commands) = (Vec::new(), Vec::new());
     let connect = format!("udpout:{address}").parse().expect("an endpoint");
-    let options = Options { ticks: Some(TICKS), tlog, ..Options::default() };
-    let flight = fly(&connect, &scenario, &options, |percept| {
-        let command = decide(percept, &scenario);
-        percepts.push(percept.clone());
-        commands.push(command);
-        command
-    });
-    let flight = flight.await.expect("a flight to its end");
+    let options = Options { ticks: Some(TICKS), ..Options::default() };
+    let mut crew = Witness { scenario: scenario.clone(), percepts: Vec::new(), commands: Vec::new(), tlog };
+    let flight = fly(&connect, &scenario, &options, &mut crew).await.expect("a flight to its end");
     assert_eq!(flight.ended, FlightEnd::Over);
-    percepts.extend(flight.last);
-    lines(&percepts, &commands, &scenario)
+    crew.percepts.extend(flight.last);
+    lines(&crew.percepts, &crew.commands, &scenario)
 }
 
 fn assert_over(sitl: Program) {

@@ -1,18 +1,29 @@
-//! The shell that flies a station: percept in, command out, until the last tick.
+//! The shell that flies a station: percept in, command out, until the last tick or an event that ends it.
 //!
 //! The same loop serves a vehicle in lockstep and one in real time. What comes late or not at all
 //! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
-//! away. Knows no controller: the station is a function.
+//! away. Knows no controller: the station is a [`Crew`].
 //!
 //! Other stations may watch through the same program ([`Options::forward`]). During the flight their
 //! setpoints are not forwarded. An operator's change of mode is; once the vehicle has accepted it, the station
 //! stops its setpoints, reports that, and goes on forwarding messages.
+//!
+//! | a flight ends | the vehicle is left |
+//! |---|---|
+//! | after its last tick, or in a fall | as its last command has it |
+//! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for three times |
+//! | because an operator changed its mode | to the operator |
+//! | because another station's setpoint is flown | to the other station: no more setpoints from here |
+//! | because it has booted anew | as it has booted: no more setpoints from here |
+//! | because the link is lost | to its own failsafe |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
 
 pub mod foreign;
 pub mod remote;
+pub mod world;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
@@ -23,10 +34,11 @@ use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::program::shell::Backoff;
-use crpl_sitl::program::terminal::interrupted;
+use crpl_sitl::program::terminal::{Signal, interrupted};
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::scenario::CollisionAction;
 use crpl_sitl::units::Tick;
+use serde::{Serialize, Serializer};
 use tokio::time::{Instant, interval, sleep};
 
 use crate::flight::remote::{Remote, RemoteEvent};
@@ -34,24 +46,25 @@ use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
 use crate::tools::fleet::News;
+use crate::tools::session::{LinkFlags, Session};
 
 /// The station's heartbeat.
 const HEARTBEAT: Duration = Duration::from_secs(1);
-/// How often, and how far apart, the last percept is acknowledged: the vehicle does not answer.
+/// How often, and how far apart, last words are sent: the vehicle does not answer.
 const FAREWELLS: (u32, Duration) = (4, Duration::from_millis(15));
 
 /// How to fly.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// The flight ends with the percept of this tick; `None` flies until Ctrl-C.
+    /// The flight ends with the percept of this tick; `None` flies until a signal comes.
     pub ticks: Option<u64>,
-    /// Where to write the tlog.
-    pub tlog: Option<PathBuf>,
+    /// The vehicle's system id; `None`: the only one on the link.
+    pub system: Option<u8>,
     /// File with the key of message signing.
     pub signing_key: Option<PathBuf>,
     /// Endpoints that watch the flight and may talk to the vehicle through this program.
     pub forward: Vec<Endpoint>,
-    /// How long to wait for the first percept, and for any next one, also where the link is lost.
+    /// How long to wait for the vehicle, for the first percept, and for any next one.
     pub timeout: Duration,
 }
 
@@ -59,7 +72,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             ticks: None,
-            tlog: None,
+            system: None,
             signing_key: None,
             forward: Vec::new(),
             timeout: Duration::from_secs(30),
@@ -69,42 +82,129 @@ impl Default for Options {
 
 impl Options {
     /// Opens the link to the vehicle and those to who else is there.
+    ///
+    /// # Errors
+    /// An endpoint that cannot be opened, a key file that cannot be read.
     pub async fn open(&self, connect: &Endpoint) -> Result<Hub> {
         let mut hub = Hub::default();
         hub.local();
+        hub.log_ahead();
         let shown = hub.open(connect).await?;
         tracing::debug!("{shown}");
-        for endpoint in &self.forward {
-            let shown = hub.open(endpoint).await?;
-            tracing::info!("forward: {shown}");
-        }
-        if let Some(path) = &self.tlog {
-            hub.log_to(path)?;
-        }
+        self.forward(&mut hub).await?;
         if let Some(path) = &self.signing_key {
             hub.sign_with(path)?;
         }
         Ok(hub)
     }
+
+    /// Opens the link and waits for the vehicle; its tools come later.
+    ///
+    /// # Errors
+    /// As [`Session::open`]: no vehicle, or several of which none was chosen.
+    pub async fn find(&self, connect: &Endpoint) -> Result<Session> {
+        let flags = LinkFlags {
+            sysid: self.system,
+            signing_key: self.signing_key.clone(),
+            timeout: self.timeout.as_secs().max(1),
+            ..LinkFlags::to(connect.clone())
+        };
+        Session::open(&flags).await
+    }
+
+    async fn forward(&self, hub: &mut Hub) -> Result<()> {
+        for endpoint in &self.forward {
+            let shown = hub.open(endpoint).await?;
+            tracing::info!("forward: {shown}");
+        }
+        Ok(())
+    }
 }
 
-/// Why a flight has ended.
+/// Who decides on the ground, and who writes it down.
+pub trait Crew {
+    /// The command for the interval that this percept begins; asked once for each percept, in the order of
+    /// ticks.
+    fn command(&mut self, percept: &Percept) -> Command;
+
+    /// The flight begins with its first percept, which is here. Gives the file of the tlog, if there is to be
+    /// one.
+    ///
+    /// # Errors
+    /// A run folder that cannot be made: the flight does not begin.
+    fn begin(&mut self) -> Result<Option<PathBuf>> {
+        Ok(None)
+    }
+
+    /// The command is on its way: there is time to write.
+    fn sent(&mut self) {}
+}
+
+impl<F: FnMut(&Percept) -> Command> Crew for F {
+    fn command(&mut self, percept: &Percept) -> Command {
+        self(percept)
+    }
+}
+
+/// How a flight has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FlightEnd {
     /// After its last tick, or after a collision at which the vehicle falls.
     #[default]
     Over,
-    /// By Ctrl-C or SIGTERM.
-    Interrupted,
+    /// By a signal.
+    Interrupted(Signal),
     /// The operator has changed the vehicle's mode, and flies.
     TakenOver,
+    /// Nothing came for [`Options::timeout`].
+    LinkLost,
+    /// The vehicle's time has gone back.
+    Rebooted,
+    /// The vehicle flies a setpoint that this station has not sent.
+    ForeignSetpoint,
+}
+
+impl FlightEnd {
+    /// Its name in tables and JSON.
+    #[must_use]
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Over => "over",
+            Self::Interrupted(_) => "interrupted",
+            Self::TakenOver => "taken over",
+            Self::LinkLost => "link lost",
+            Self::Rebooted => "rebooted",
+            Self::ForeignSetpoint => "foreign setpoint",
+        }
+    }
+
+    /// The exit code of a program whose flight has ended so; `None`: success.
+    #[must_use]
+    pub fn exit_code(self) -> Option<u8> {
+        match self {
+            Self::Over => None,
+            Self::Interrupted(signal) => Some(signal.exit_code()),
+            Self::LinkLost => Some(3),
+            Self::TakenOver => Some(4),
+            Self::Rebooted => Some(5),
+            Self::ForeignSetpoint => Some(6),
+        }
+    }
+}
+
+impl Serialize for FlightEnd {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.key())
+    }
 }
 
 /// A flight from the station's side.
 #[derive(Debug, Clone, Default)]
 pub struct Flight {
-    /// Why it has ended.
+    /// How it has ended.
     pub ended: FlightEnd,
+    /// Why, in one line.
+    pub why: String,
     /// The newest percept. After `ticks` it closes the last interval; the station has not been
     /// asked for a command to it.
     pub last: Option<Percept>,
@@ -122,61 +222,100 @@ pub struct Flight {
     pub suppressed_setpoints: u64,
     /// Reports and frames that were rejected.
     pub rejected_messages: u64,
+    /// Why the tlog is not complete, if so.
+    pub log_error: Option<String>,
 }
 
-/// Flies `station`, which is asked once for each percept, in the order of ticks.
+/// Finds a vehicle of this scenario and flies `crew` on it.
+///
+/// # Errors
+/// No vehicle, and whatever keeps a flight from beginning. Once it has begun, an event that ends it is in
+/// [`Flight::ended`].
 pub async fn fly(
     connect: &Endpoint,
     scenario: &Scenario,
     options: &Options,
-    mut station: impl FnMut(&Percept) -> Command,
+    crew: &mut impl Crew,
 ) -> Result<Flight> {
-    let mut shell = FlightShell::open(connect, scenario, options).await?;
+    let session = options.find(connect).await?;
+    fly_on(session, scenario, options, crew).await
+}
+
+/// The same on a vehicle that is found already.
+///
+/// # Errors
+/// As [`fly`].
+pub async fn fly_on(
+    session: Session,
+    scenario: &Scenario,
+    options: &Options,
+    crew: &mut impl Crew,
+) -> Result<Flight> {
+    let mut shell = FlightShell::new(session, scenario, options).await?;
     let mut beat = interval(HEARTBEAT);
     let mut resend = Backoff::default();
     let mut interrupted = pin!(interrupted());
+    shell.repeat().await;
     loop {
-        shell.check()?;
+        if let Some(why) = shell.silence()? {
+            return Ok(shell.end(FlightEnd::LinkLost, &why).await);
+        }
         tokio::select! {
-            turned = shell.hub.turn() => turned?,
+            () = shell.hub.turn() => {}
             () = resend.elapsed() => {
-                shell.repeat().await?;
+                shell.repeat().await;
                 resend.lengthen();
             }
-            _ = beat.tick() => shell.beat().await?,
-            () = &mut interrupted => return shell.end(FlightEnd::Interrupted).await,
+            _ = beat.tick() => shell.beat().await,
+            signal = &mut interrupted => return Ok(shell.interrupted(signal).await),
         }
         for notice in shell.hub.notices() {
             tell(&notice, &shell.hub);
             if matches!(notice, Notice::ModeChange(_)) {
-                return shell.taken_over("mode changed").await;
+                return Ok(shell.taken_over("mode changed").await);
             }
         }
         let arrived = shell.hub.arrived();
         while let Some(datagram) = shell.hub.take() {
-            for event in shell.datagram(&datagram) {
+            for event in shell.remote.datagram(&datagram, shell.hub.elapsed()) {
                 match event {
                     RemoteEvent::Percept(percept) => {
+                        if shell.first_percept.is_none()
+                            && let Some(tlog) = crew.begin()?
+                        {
+                            shell.hub.log_to(&tlog)?;
+                        }
                         shell.percept(&percept, arrived);
+                        if let Some(why) = shell.foreign_setpoint(&percept) {
+                            shell.flight.last = Some(percept);
+                            return Ok(shell.end(FlightEnd::ForeignSetpoint, &why).await);
+                        }
                         let is_last =
                             options.ticks.is_some_and(|ticks| percept.telemetry.tick >= Tick(ticks));
                         if is_last || shell.has_fallen(&percept, scenario) {
-                            return shell.over(percept).await;
+                            return Ok(shell.over(percept).await);
                         }
-                        let command = shell.remote.command(&station(&percept));
-                        shell.hub.send(&command).await?;
+                        let command = crew.command(&percept);
+                        shell.sent.insert(command.tick, command.accel);
+                        let datagram = shell.remote.command(&command);
+                        shell.hub.send(&datagram).await;
                         shell.flight.last = Some(percept);
                         shell.flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
                         resend = Backoff::default();
+                        crew.sent();
                     }
                     RemoteEvent::Repeat(_) => {
                         shell.flight.repeats += 1;
-                        shell.repeat().await?;
+                        shell.repeat().await;
                     }
                     RemoteEvent::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
                     RemoteEvent::News(news) => news.log(),
                     RemoteEvent::LeftGuided(mode) => {
-                        return shell.taken_over(&format!("vehicle is in {mode}")).await;
+                        return Ok(shell.taken_over(&format!("vehicle is in {mode}")).await);
+                    }
+                    RemoteEvent::Rebooted(from, to) => {
+                        let why = format!("its time went back from tick {} to {}", from.0, to.0);
+                        return Ok(shell.end(FlightEnd::Rebooted, &why).await);
                     }
                 }
             }
@@ -186,72 +325,87 @@ pub async fn fly(
 
 /// Sockets and protocol of a flight.
 struct FlightShell<'a> {
-    connect: &'a Endpoint,
+    connect: String,
     options: &'a Options,
     hub: Hub,
     remote: Remote,
-    first_percept: Option<Instant>,
+    first_percept: Option<(Tick, Instant)>,
     last_percept: Instant,
     interval_s: f64,
+    /// The accelerations of our commands, by their ticks.
+    sent: BTreeMap<Tick, [f32; 2]>,
     flight: Flight,
 }
 
 impl<'a> FlightShell<'a> {
-    async fn open(connect: &'a Endpoint, scenario: &Scenario, options: &'a Options) -> Result<Self> {
+    async fn new(session: Session, scenario: &Scenario, options: &'a Options) -> Result<Self> {
+        let connect = session.endpoint().to_string();
+        let (mut hub, encoder, (system, _)) = session.into_parts();
+        hub.log_ahead();
+        options.forward(&mut hub).await?;
+        hub.take_control(Some(system));
         Ok(Self {
             connect,
             options,
-            hub: options.open(connect).await?,
-            remote: Remote::new(scenario),
+            hub,
+            remote: Remote::new(scenario, system, encoder),
             first_percept: None,
             last_percept: Instant::now(),
             interval_s: scenario.scale.interval_s,
+            sent: BTreeMap::new(),
             flight: Flight::default(),
         })
     }
 
-    /// A clear word instead of waiting for ever.
-    fn check(&mut self) -> Result<()> {
+    /// Why it is too quiet, if it is: an error before the first percept.
+    fn silence(&mut self) -> Result<Option<String>> {
         self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
-        let (connect, waited) = (self.connect, self.last_percept.elapsed());
+        let waited = self.last_percept.elapsed();
         if waited <= self.options.timeout {
-            return Ok(());
+            return Ok(None);
         }
-        let seconds = self.options.timeout.as_secs_f64();
-        match (self.remote.system(), self.remote.newest()) {
-            (None, _) => bail!("{connect}: no MAVLink vehicle heard for {seconds} s; is sitl running there?"),
-            (Some(system), None) => bail!(
-                "{connect}: vehicle {system} talks, but no report with a picture came for {seconds} s \
+        let (connect, seconds) = (&self.connect, self.options.timeout.as_secs_f64());
+        let system = self.remote.system();
+        match self.remote.newest() {
+            None => bail!(
+                "{connect}: vehicle {system} talks, but no report with a frame came for {seconds} s \
                  ({} were rejected: is its control interval {} s?)",
                 self.remote.rejected_messages(),
                 self.interval_s
             ),
-            (Some(system), Some(tick)) if self.remote.is_lost() => {
-                bail!(
-                    "{connect}: vehicle {system}: link lost after tick {}, and not regained for {seconds} s",
-                    tick.0
-                )
-            }
-            (Some(system), Some(tick)) => {
-                bail!("{connect}: vehicle {system} sent no new percept for {seconds} s after tick {}", tick.0)
-            }
+            Some(tick) if self.remote.is_lost() => Ok(Some(format!(
+                "{connect}: vehicle {system}: link lost after tick {}, and not regained for {seconds} s",
+                tick.0
+            ))),
+            Some(tick) => Ok(Some(format!(
+                "{connect}: vehicle {system} sent no new percept for {seconds} s after tick {}",
+                tick.0
+            ))),
         }
-    }
-
-    fn datagram(&mut self, bytes: &[u8]) -> Vec<RemoteEvent> {
-        let known = self.remote.system();
-        let events = self.remote.datagram(bytes, self.hub.elapsed());
-        if known.is_none() && self.remote.system().is_some() {
-            self.hub.take_control(self.remote.system());
-        }
-        events
     }
 
     fn percept(&mut self, percept: &Percept, arrived: Instant) {
-        let first = *self.first_percept.get_or_insert(arrived);
+        let (_, first) = *self.first_percept.get_or_insert((percept.telemetry.tick, arrived));
         self.last_percept = arrived;
         self.flight.wall = arrived - first;
         tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// What the vehicle flies, if that is not ours. A setpoint that it held before our first percept is that of
+    /// a flight before this one.
+    fn foreign_setpoint(&self, percept: &Percept) -> Option<String> {
+        let held = percept.telemetry.held?;
+        let (first, _) = self.first_percept?;
+        let ours = self.sent.get(&held.tick);
+        if held.tick < first || ours == Some(&held.accel) {
+            return None;
+        }
+        let [north, east] = held.accel;
+        Some(format!(
+            "the vehicle flies a setpoint of tick {} that this station has not sent: {north} m/s² north, {east} \
+             east",
+            held.tick.0
+        ))
     }
 
     /// Whether the vehicle has collided since its last report, in a scenario in which it then falls.
@@ -262,65 +416,90 @@ impl<'a> FlightShell<'a> {
     }
 
     /// Something is missing.
-    async fn repeat(&mut self) -> Result<()> {
+    async fn repeat(&mut self) {
         for datagram in self.remote.repeat() {
-            self.hub.send(&datagram).await?;
+            self.hub.send(&datagram).await;
         }
-        Ok(())
     }
 
-    async fn beat(&mut self) -> Result<()> {
-        self.hub.save()?;
+    async fn beat(&mut self) {
+        self.hub.save();
         let datagram = self.remote.heartbeat();
-        self.hub.send(&datagram).await
+        self.hub.send(&datagram).await;
     }
 
-    /// The last percept is here: says so often enough for a path that loses datagrams.
-    async fn over(mut self, percept: Percept) -> Result<Flight> {
+    /// Sends something often enough for a path that loses datagrams.
+    async fn last_words(&mut self, mut words: impl FnMut(&mut Remote) -> Vec<u8>) {
         let (times, pause) = FAREWELLS;
         for k in 0..times {
             if k > 0 {
                 sleep(pause).await;
             }
-            let datagram = self.remote.acknowledgement(percept.telemetry.tick);
-            self.hub.send(&datagram).await?;
+            let datagram = words(&mut self.remote);
+            self.hub.send(&datagram).await;
         }
+    }
+
+    /// The last percept is here.
+    async fn over(mut self, percept: Percept) -> Flight {
+        let tick = percept.telemetry.tick;
+        self.last_words(|remote| remote.acknowledgement(tick)).await;
         self.flight.last = Some(percept);
-        self.end(FlightEnd::Over).await
+        self.end(FlightEnd::Over, "").await
+    }
+
+    /// The program is asked to end in flight: the vehicle brakes.
+    async fn interrupted(mut self, signal: Signal) -> Flight {
+        self.last_words(Remote::brake).await;
+        self.end(FlightEnd::Interrupted(signal), &format!("{signal}: the vehicle was asked to brake")).await
     }
 
     /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
-    /// this program, goes on passing their messages to and fro, until Ctrl-C or the link is lost.
-    async fn taken_over(mut self, why: &str) -> Result<Flight> {
+    /// this program, goes on passing their messages to and fro, until a signal comes or the link is lost.
+    async fn taken_over(mut self, why: &str) -> Flight {
         self.flight.suppressed_setpoints = self.hub.router().suppressed_setpoints();
         self.hub.take_control(None);
         tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
         let said =
             self.remote.text(MavSeverity::MAV_SEVERITY_WARNING, "Operator has control: setpoints stopped");
-        self.hub.send(&said).await?;
+        self.hub.send(&said).await;
         let mut beat = interval(HEARTBEAT);
         let mut interrupted = pin!(interrupted());
         while !self.options.forward.is_empty() && !self.remote.is_lost() {
             tokio::select! {
-                turned = self.hub.turn() => turned?,
-                _ = beat.tick() => self.beat().await?,
-                () = &mut interrupted => break,
+                () = self.hub.turn() => {}
+                _ = beat.tick() => self.beat().await,
+                _ = &mut interrupted => break,
             }
             while let Some(datagram) = self.hub.take() {
                 self.remote.datagram(&datagram, self.hub.elapsed());
             }
             self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
         }
-        self.end(FlightEnd::TakenOver).await
+        self.end(FlightEnd::TakenOver, &format!("the operator has taken over: {why}")).await
     }
 
-    async fn end(mut self, ended: FlightEnd) -> Result<Flight> {
-        self.hub.close().await?;
+    async fn end(mut self, ended: FlightEnd, why: &str) -> Flight {
+        if !matches!(ended, FlightEnd::Over | FlightEnd::TakenOver) {
+            tracing::warn!("the flight ends: {why}");
+        }
+        self.hub.close().await;
         let suppressed_setpoints =
             self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());
         let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
         let (packets, rejected_messages) = (self.hub.counts(), self.remote.rejected_messages());
-        Ok(Flight { ended, packets, lost, suppressed_setpoints, rejected_messages, ..self.flight })
+        let log_error = self.hub.log_error().map(str::to_owned);
+        let why = why.to_owned();
+        Flight {
+            ended,
+            why,
+            packets,
+            lost,
+            suppressed_setpoints,
+            rejected_messages,
+            log_error,
+            ..self.flight
+        }
     }
 }
 
@@ -397,13 +576,27 @@ mod tests {
         let mut percepts = Vec::new();
         let connect = endpoint(&format!("udpout:{address}"));
         let scenario = Scenario::default();
-        let flight = fly(&connect, &scenario, options, |percept| {
+        let mut crew = |percept: &Percept| {
             percepts.push(percept.clone());
             station(percept)
-        });
+        };
+        let flight = fly(&connect, &scenario, options, &mut crew);
         let flight = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap();
         percepts.extend(flight.last.clone());
         (percepts, flight)
+    }
+
+    /// A crew with a tlog.
+    struct Logging(PathBuf);
+
+    impl Crew for Logging {
+        fn command(&mut self, percept: &Percept) -> Command {
+            station(percept)
+        }
+
+        fn begin(&mut self) -> Result<Option<PathBuf>> {
+            Ok(Some(self.0.clone()))
+        }
     }
 
     fn options() -> Options {
@@ -435,8 +628,9 @@ mod tests {
     #[tokio::test]
     async fn the_log_holds_both_directions() {
         let path = std::env::temp_dir().join(format!("fly-{}.tlog", std::process::id()));
-        let options = Options { tlog: Some(path.clone()), ..options() };
-        flown(vehicle(true).await, &options).await;
+        let connect = endpoint(&format!("udpout:{}", vehicle(true).await));
+        let flight = fly(&connect, &Scenario::default(), &options(), &mut Logging(path.clone())).await;
+        assert_eq!(flight.unwrap().ended, FlightEnd::Over);
         let bytes = std::fs::read(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let (mut at, mut systems, mut last) = (0, std::collections::BTreeSet::new(), 0);
@@ -455,8 +649,11 @@ mod tests {
         let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let connect = endpoint(&format!("udpout:{}", silent.local_addr().unwrap()));
         let options = Options { timeout: Duration::from_millis(200), ..Options::default() };
-        let error = fly(&connect, &Scenario::default(), &options, station).await.unwrap_err().to_string();
-        assert!(error.starts_with(&format!("{connect}: no MAVLink vehicle heard")), "{error}");
+        let mut crew = station;
+        let scenario = Scenario::default();
+        let flight = fly(&connect, &scenario, &options, &mut crew);
+        let error = flight.await.unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{connect}: no vehicle heard for 1 s")), "{error}");
     }
 
     #[tokio::test]
@@ -467,10 +664,12 @@ mod tests {
         // The vehicle's flight is over after its last tick, and then it falls silent.
         let connect = endpoint(&format!("udpout:{cut}"));
         let scenario = Scenario::default();
-        let flight = fly(&connect, &scenario, &options, station);
-        let error = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap_err().to_string();
-        let (what, tick) = error.rsplit_once(' ').unwrap();
-        assert!(what.ends_with("vehicle 1 sent no new percept for 1 s after tick"), "{error}");
-        assert!(tick.parse::<u64>().unwrap() <= TICKS, "{error}");
+        let mut crew = station;
+        let flight = fly(&connect, &scenario, &options, &mut crew);
+        let flight = tokio::time::timeout(TIMEOUT, flight).await.unwrap().unwrap();
+        assert_eq!(flight.ended, FlightEnd::LinkLost);
+        let (what, tick) = flight.why.rsplit_once(' ').unwrap();
+        assert!(what.ends_with("vehicle 1 sent no new percept for 1 s after tick"), "{what}");
+        assert!(tick.parse::<u64>().unwrap() <= TICKS, "{tick}");
     }
 }

@@ -14,7 +14,7 @@ use crpl_model::planning::policy::Policies;
 use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
-use crpl_sitl::program::terminal::positive;
+use crpl_sitl::program::terminal::{StopSignal, positive};
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::Snr;
@@ -101,13 +101,24 @@ impl ConstraintCheck {
     ///
     /// # Errors
     /// A flight without an interval.
-    pub fn measure(contender: &Contender, reached: f64, flights: usize, first_seed: u64) -> Result<Self> {
+    /// A signal, too, ends it.
+    pub fn measure(
+        contender: &Contender,
+        reached: f64,
+        flights: usize,
+        first_seed: u64,
+        stop: Option<&StopSignal>,
+    ) -> Result<Self> {
         let scenario = contender.scenario();
         let safety = &scenario.safety;
         let ends: Vec<End> = (0..flights as u64)
             .into_par_iter()
+            .filter(|_| stop.is_none_or(|stop| stop.get().is_none()))
             .map(|n| End::of(&contender.records(first_seed + n), scenario))
             .collect();
+        if let Some(signal) = stop.and_then(StopSignal::get) {
+            bail!(signal.exit(&format!("the check has flown {} of {flights}", ends.len())));
+        }
         let count = |kept: fn(&End) -> bool| ends.iter().filter(|end| kept(end)).count();
         Ok(Self {
             flights,
@@ -213,7 +224,13 @@ pub fn run(args: &Check) -> Result<()> {
     let models = args.models.load()?;
     let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.gust_std))?;
     let (flights, config) = (usize::try_from(args.episodes)?, OptimiseConfig::default());
-    let check = ConstraintCheck::measure(&contender, config.check_reached, flights, args.first_seed)?;
+    let check = ConstraintCheck::measure(
+        &contender,
+        config.check_reached,
+        flights,
+        args.first_seed,
+        Some(&StopSignal::listen()?),
+    )?;
     if args.json {
         println!("{}", serde_json::to_string(&check)?);
     } else {
@@ -243,9 +260,10 @@ pub fn after(
     world: &Arc<WorldModel>,
     policies: &Policies,
     scenario: &Scenario,
+    stop: Option<&StopSignal>,
 ) -> Result<ConstraintCheck> {
     let contender = Contender::with_policies(world, policies, &gusty(scenario, config.check_gust_std));
-    ConstraintCheck::measure(&contender, config.check_reached, config.check_flights, FIRST_CHECK)
+    ConstraintCheck::measure(&contender, config.check_reached, config.check_flights, FIRST_CHECK, stop)
 }
 
 /// The scenario with its own gusts, or with gusts of standard deviation `gust_std` if it has none.

@@ -17,8 +17,8 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
 use crate::flight::{self, FlightEnd, Options};
-use crate::lab::run_folder::RunFolder;
-use crate::lab::summary::Summary;
+use crate::lab::crew::{Landed, LoggedStation};
+use crate::lab::run_folder::{RunFolder, RunManifest};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
 
@@ -111,28 +111,48 @@ pub struct DemoFlight<'a> {
     pub forward: &'a [Endpoint],
 }
 
-/// Starts a vehicle, flies it, and leaves the run folder `dir`. `None` after Ctrl-C.
-pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path) -> Result<Option<Summary>> {
-    let folder = RunFolder::begin(dir, flight.scenario)?;
-    let mut station = models.station(flight.controller, flight.scenario)?;
-    let vehicle = VehicleProcess::start(&folder.config(), flight).await?;
+/// The scenario as a file for the vehicle, which is removed with this.
+struct ScenarioFile(PathBuf);
+
+impl ScenarioFile {
+    fn write(scenario: &Scenario, controller: Controller) -> Result<Self> {
+        let name = format!("crpl-demo-{}-{controller}.toml", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, toml::to_string(scenario)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for ScenarioFile {
+    fn drop(&mut self) {
+        // It is in the system's folder of such files, and small.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Starts a vehicle, flies it, and leaves the run folder `dir`.
+///
+/// # Errors
+/// A vehicle that does not start, a controller without policies, a folder that holds another flight.
+pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path, overwrite: bool) -> Result<Landed> {
+    let (scenario, seed) = (flight.scenario, Some(flight.seed));
+    let station = models.station(flight.controller, scenario)?;
+    let manifest = RunManifest::new(flight.controller, seed, station.policy().cloned());
+    let folder = RunFolder::claim(dir, overwrite, scenario, manifest)?;
+    let mut crew = LoggedStation::new(station, folder, flight.controller, seed);
+    let config = ScenarioFile::write(scenario, flight.controller)?;
+    let vehicle = VehicleProcess::start(&config.0, flight).await?;
     let options = Options {
-        ticks: Some(flight.scenario.horizon),
-        tlog: Some(folder.tlog()),
+        ticks: Some(scenario.horizon),
+        system: Some(1),
         signing_key: flight.signing_key.map(Path::to_path_buf),
         forward: flight.forward.to_vec(),
         ..Options::default()
     };
-    let flown = flight::fly(&vehicle.endpoint, flight.scenario, &options, |p| station.handle(p)).await?;
-    if flown.ended != FlightEnd::Over {
-        return Ok(None);
+    let flown = flight::fly(&vehicle.endpoint, scenario, &options, &mut crew).await?;
+    if flown.ended == FlightEnd::Over {
+        vehicle.end().await?;
     }
-    if let Some(last) = &flown.last {
-        station.finish(last);
-    }
-    vehicle.end().await?;
-    let summary = Summary::of(flight.controller, Some(flight.seed), &station, &flown)
-        .context("the flight ended before its first interval")?;
-    folder.finish(&summary, station.records(), flight.scenario)?;
-    Ok(Some(summary))
+    Ok(crew.land(&flown))
 }

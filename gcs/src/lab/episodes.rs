@@ -4,6 +4,7 @@
 use anyhow::Result;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
+use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use rayon::prelude::*;
@@ -67,17 +68,25 @@ pub fn run(args: &Episodes) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
+    let stop = StopSignal::listen()?;
     let bar = progress::bar("flights", args.episodes * args.controller.len() as u64);
     for controller in &args.controller {
         let contender = Contender::new(&models, *controller, &scenario)?;
         let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)
             .into_par_iter()
+            .filter(|_| stop.get().is_none())
             .map(|seed| {
                 let scored = contender.fly(seed);
                 bar.inc(1);
                 scored
             })
             .collect::<Result<_>>()?;
+        if let Some(signal) = stop.get() {
+            bar.finish_and_clear();
+            let (done, all) = (flights.len(), args.episodes);
+            let what = format!("{controller} has flown {done} of {all}, which are discarded");
+            return Err(signal.exit(&what).into());
+        }
         let row = EpisodesRow {
             policy: contender.policy().cloned(),
             ..row(*controller, &scenario, args.first_seed, &flights)

@@ -1,6 +1,7 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
 pub mod check;
+pub mod crew;
 pub mod demo;
 pub mod episodes;
 pub mod figures;

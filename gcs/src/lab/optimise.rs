@@ -16,6 +16,7 @@ use crpl_model::world_model::{StationHeads, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
+use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::presets;
 use indicatif::ProgressBar;
@@ -87,6 +88,11 @@ pub struct Optimised {
 
 /// What sees the attempts and their iterations.
 pub trait AttemptWatch: OptimiseWatch {
+    /// What may stop it.
+    fn stop(&self) -> Option<&StopSignal> {
+        None
+    }
+
     /// Attempt `n` begins, from 0.
     fn attempt(&mut self, n: usize, config: &OptimiseConfig);
     /// Its policies have been checked.
@@ -116,8 +122,14 @@ pub fn optimise_for(
     for n in first..config.attempts.max(first + 1) {
         let config = config.attempt(n);
         watch.attempt(n, &config);
-        let (mut policies, outcome) = optimise(&problem, &config, seed, progress.take(), watch)?;
-        let flown = check::after(&config, world, &policies, scenario)?;
+        let (mut policies, outcome) = match optimise(&problem, &config, seed, progress.take(), watch) {
+            Err(error) => match watch.stop().and_then(StopSignal::get) {
+                Some(signal) => bail!(signal.exit(&error.to_string())),
+                None => return Err(error.into()),
+            },
+            Ok(found) => found,
+        };
+        let flown = check::after(&config, world, &policies, scenario, watch.stop())?;
         watch.flown(&flown);
         policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
         let made = Optimised { policies, outcome, flown, attempts: n + 1, wall_s: stopwatch.seconds().0 };
@@ -310,12 +322,15 @@ pub struct Show {
     config: OptimiseConfig,
     saved: Option<(PathBuf, Saved)>,
     last: Option<(usize, ObjectiveEstimate, f64)>,
+    stop: Option<StopSignal>,
 }
 
 impl Show {
     fn new(config: &OptimiseConfig, saved: Option<(PathBuf, Saved)>) -> Self {
         let bar = progress::bar("optimising policies", algorithm1::total_iterations(config) as u64);
-        Self { bar, config: config.clone(), saved, last: None }
+        // Without signals it cannot be stopped gently.
+        let stop = StopSignal::listen().ok();
+        Self { bar, config: config.clone(), saved, last: None, stop }
     }
 
     /// A progress bar alone, for a run that is not resumed.
@@ -326,6 +341,10 @@ impl Show {
 }
 
 impl AttemptWatch for Show {
+    fn stop(&self) -> Option<&StopSignal> {
+        self.stop.as_ref()
+    }
+
     fn attempt(&mut self, n: usize, config: &OptimiseConfig) {
         self.bar.set_position(0);
         self.config = config.clone();
@@ -368,11 +387,14 @@ impl OptimiseWatch for Show {
                 );
             });
         }
-        let Some((path, run)) = &mut self.saved else { return Ok(()) };
+        let stopped = self.stop.as_ref().is_some_and(|stop| stop.get().is_some());
+        let end = |what: String| if stopped { Err(OptimiseError::Progress(what)) } else { Ok(()) };
+        let Some((path, run)) = &mut self.saved else { return end("nothing is kept".into()) };
         run.progress = Some(progress.clone());
         let failed = |e: String| OptimiseError::Progress(format!("writing {}: {e}", path.display()));
         let text = serde_json::to_string(run).map_err(|e| failed(e.to_string()))?;
-        write_whole(path, text.as_bytes()).map_err(|e| failed(e.to_string()))
+        write_whole(path, text.as_bytes()).map_err(|e| failed(e.to_string()))?;
+        end(format!("progress is kept in {}; --resume goes on", path.display()))
     }
 
     fn compared(&mut self, c: &Comparison) {

@@ -1,85 +1,213 @@
 //! The folder of one flight: `config.toml` (the resolved scenario), `record.jsonl`, `flight.tlog`, `path.svg`,
-//! `path.png`, and `run.json` (seed, revision, command line and summary).
+//! `path.png`, and `run.json` (seed, revision, command line, policy, end and summary).
+//!
+//! A folder holds one flight. It is made when the flight begins, grows with it, and says in `run.json` how the
+//! flight has ended; while that is `null`, it has not. What cannot be written, on a full disk for one, is said
+//! once and stops no flight.
 
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use crpl_model::evaluation::chart;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files::write_whole;
 use crpl_sitl::sim::metric::Metric;
 use crpl_sitl::sim::record::Record;
 use serde::Serialize;
 
+use crate::flight::FlightEnd;
 use crate::lab::figures::FlightPath;
 use crate::lab::summary::Summary;
+use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
 
+/// How and when a flight has ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Ended {
+    /// How.
+    pub how: FlightEnd,
+    /// Tick of the last percept.
+    pub tick: Option<u64>,
+    /// Why, in one line; empty after the last tick.
+    pub why: String,
+}
+
 /// `run.json`: how the result was made.
-#[derive(Debug, Serialize)]
-struct RunManifest<'a> {
-    controller: Controller,
-    seed: Option<u64>,
+#[derive(Debug, Clone, Serialize)]
+pub struct RunManifest {
+    /// Who flies.
+    pub controller: Controller,
+    /// Seed of the gusts; `None` if another process started the vehicle.
+    pub seed: Option<u64>,
     revision: &'static str,
     version: &'static str,
     command: Vec<String>,
-    summary: &'a Summary,
+    /// Where the controller's policies come from, and where the scenario leaves their world.
+    policy: Option<PolicyOrigin>,
+    /// `None` while it flies.
+    ended: Option<Ended>,
+    /// `None` if no interval was flown.
+    summary: Option<Summary>,
 }
 
-/// The folder of one flight.
-#[derive(Debug, Clone)]
-pub struct RunFolder {
-    dir: PathBuf,
-}
-
-impl RunFolder {
-    /// Makes the folder and writes the resolved scenario, before the flight begins.
-    ///
-    /// # Errors
-    /// The folder or the file cannot be written.
-    pub fn begin(dir: &Path, scenario: &Scenario) -> Result<Self> {
-        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-        let folder = Self { dir: dir.into() };
-        let path = folder.config();
-        std::fs::write(&path, toml::to_string(scenario)?)
-            .with_context(|| format!("writing {}", path.display()))?;
-        Ok(folder)
-    }
-
-    /// The resolved scenario.
+impl RunManifest {
+    /// That of a flight that begins.
     #[must_use]
-    pub fn config(&self) -> PathBuf {
-        self.dir.join("config.toml")
-    }
-
-    /// The log of all packets.
-    #[must_use]
-    pub fn tlog(&self) -> PathBuf {
-        self.dir.join("flight.tlog")
-    }
-
-    /// Writes records, plot and manifest after the flight.
-    ///
-    /// # Errors
-    /// A file cannot be written.
-    pub fn finish(&self, summary: &Summary, records: &[Record], scenario: &Scenario) -> Result<()> {
-        write_records(&self.dir.join("record.jsonl"), records)?;
-        let d_f = summary.score[Metric::TerminalDistance];
-        let title = format!("{}, {}, d_f {d_f:.3}", summary.controller, scenario.name);
-        let path = FlightPath { title, records, scenario, size: FlightPath::ALONE };
-        chart::save(&path, &self.dir, "path")?;
-        let manifest = RunManifest {
-            controller: summary.controller,
-            seed: summary.seed,
+    pub fn new(controller: Controller, seed: Option<u64>, policy: Option<PolicyOrigin>) -> Self {
+        Self {
+            controller,
+            seed,
             revision: crate::revision(),
             version: env!("CARGO_PKG_VERSION"),
             command: std::env::args().collect(),
-            summary,
-        };
-        let path = self.dir.join("run.json");
-        let text = serde_json::to_string_pretty(&manifest)? + "\n";
-        std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+            policy,
+            ended: None,
+            summary: None,
+        }
     }
+}
+
+/// The files of a flight.
+const FILES: [&str; 6] = ["config.toml", "run.json", "record.jsonl", "flight.tlog", "path.svg", "path.png"];
+
+/// Fresh folders that are tried.
+const TRIES: usize = 10_000;
+
+/// The folder of one flight.
+#[derive(Debug)]
+pub struct RunFolder {
+    dir: PathBuf,
+    overwrite: bool,
+    manifest: RunManifest,
+    scenario: Scenario,
+    records: Option<File>,
+    written: usize,
+    failed: Option<String>,
+}
+
+/// `wanted`, if given; else the first of `base`, `base-2`, `base-3` ... that holds nothing.
+///
+/// # Errors
+/// There are too many.
+pub fn fresh(wanted: Option<&Path>, base: &str) -> Result<PathBuf> {
+    if let Some(wanted) = wanted {
+        return Ok(wanted.into());
+    }
+    let is_free = |dir: &PathBuf| std::fs::read_dir(dir).map_or(true, |mut there| there.next().is_none());
+    let names = std::iter::once(base.to_owned()).chain((2..TRIES).map(|n| format!("{base}-{n}")));
+    names
+        .map(PathBuf::from)
+        .find(is_free)
+        .with_context(|| format!("{base}: every folder of this name is taken"))
+}
+
+impl RunFolder {
+    /// A folder for a flight that has not begun; nothing is touched yet.
+    ///
+    /// # Errors
+    /// The folder holds another flight, and is not to be overwritten.
+    pub fn claim(dir: &Path, overwrite: bool, scenario: &Scenario, manifest: RunManifest) -> Result<Self> {
+        if let Some(file) = FILES.iter().find(|file| dir.join(file).exists()).filter(|_| !overwrite) {
+            bail!("{} holds a flight already ({file}): choose another --out, or --overwrite", dir.display());
+        }
+        let (dir, scenario) = (dir.into(), scenario.clone());
+        Ok(Self { dir, overwrite, manifest, scenario, records: None, written: 0, failed: None })
+    }
+
+    /// Makes the folder, without the files of a flight that is overwritten, and writes what is known before the
+    /// flight. Gives the file of the tlog.
+    ///
+    /// # Errors
+    /// The folder or a file cannot be written.
+    pub fn begin(&mut self) -> Result<PathBuf> {
+        std::fs::create_dir_all(&self.dir).with_context(|| format!("creating {}", self.dir.display()))?;
+        for file in FILES.into_iter().filter(|_| self.overwrite) {
+            let path = self.dir.join(file);
+            if path.exists() {
+                std::fs::remove_file(&path).with_context(|| format!("removing {}", path.display()))?;
+            }
+        }
+        let path = self.dir.join("config.toml");
+        std::fs::write(&path, toml::to_string(&self.scenario)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+        self.write_manifest()?;
+        let path = self.dir.join("record.jsonl");
+        self.records = Some(File::create(&path).with_context(|| format!("creating {}", path.display()))?);
+        Ok(self.dir.join("flight.tlog"))
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// Appends the records that are not written yet; each line is in the file when this returns.
+    pub fn record(&mut self, records: &[Record]) {
+        let stamped = self.manifest.policy.as_ref().is_some_and(|policy| !policy.differences.is_empty());
+        let Some(file) = &mut self.records else { return };
+        let mut lines = Vec::new();
+        let made = records
+            .iter()
+            .skip(self.written)
+            .try_for_each(|record| write_record(&mut lines, record, stamped));
+        self.written = records.len();
+        if let Err(error) = made.and_then(|()| file.write_all(&lines)) {
+            self.records = None;
+            self.fail("record.jsonl", &error.into());
+        }
+    }
+
+    /// Writes the plot and the end. What could not be written since the beginning, in one line.
+    pub fn finish(mut self, ended: Ended, summary: Option<Summary>, records: &[Record]) -> Option<String> {
+        self.record(records);
+        if let Some(summary) = &summary {
+            let d_f = summary.score[Metric::TerminalDistance];
+            let (controller, name) = (summary.controller, &self.scenario.name);
+            let mut title = format!("{controller}, {name}, d_f {d_f:.3}");
+            if ended.how != FlightEnd::Over {
+                title += &format!(", {}", ended.how.key());
+            }
+            if self.manifest.policy.as_ref().is_some_and(|policy| !policy.differences.is_empty()) {
+                title += ", policy of another world";
+            }
+            let path = FlightPath { title, records, scenario: &self.scenario, size: FlightPath::ALONE };
+            if let Err(error) = chart::save(&path, &self.dir, "path") {
+                self.fail("path", &error.into());
+            }
+        }
+        (self.manifest.ended, self.manifest.summary) = (Some(ended), summary);
+        if let Err(error) = self.write_manifest() {
+            self.fail("run.json", &error);
+        }
+        self.failed
+    }
+
+    fn write_manifest(&self) -> Result<()> {
+        let path = self.dir.join("run.json");
+        let text = serde_json::to_string_pretty(&self.manifest)? + "\n";
+        write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
+    }
+
+    fn fail(&mut self, file: &str, error: &anyhow::Error) {
+        tracing::error!("{file} in {}: {error:#}", self.dir.display());
+        self.failed.get_or_insert_with(|| format!("{file} in {}: {error:#}", self.dir.display()));
+    }
+}
+
+/// One line; `stamped`: flown by policies of another world, which the line then says.
+fn write_record(lines: &mut Vec<u8>, record: &Record, stamped: bool) -> std::io::Result<()> {
+    if stamped {
+        let mut line = serde_json::to_value(record)?;
+        line["policy_mismatch"] = true.into();
+        serde_json::to_writer(&mut *lines, &line)?;
+    } else {
+        serde_json::to_writer(&mut *lines, record)?;
+    }
+    lines.push(b'\n');
+    Ok(())
 }
 
 /// Writes records as JSON, one line per interval.
@@ -87,11 +215,10 @@ impl RunFolder {
 /// # Errors
 /// The file cannot be written.
 pub fn write_records(path: &Path, records: &[Record]) -> Result<()> {
-    let context = || format!("writing {}", path.display());
-    let mut file = std::io::BufWriter::new(std::fs::File::create(path).with_context(context)?);
-    for record in records {
-        serde_json::to_writer(&mut file, record).with_context(context)?;
-        file.write_all(b"\n").with_context(context)?;
-    }
-    file.flush().with_context(context)
+    let mut lines = Vec::new();
+    records
+        .iter()
+        .try_for_each(|record| write_record(&mut lines, record, false))
+        .and_then(|()| std::fs::write(path, &lines))
+        .with_context(|| format!("writing {}", path.display()))
 }

@@ -7,7 +7,9 @@ use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use serde::Serialize;
 
 use crate::flight::{Flight, FlightEnd};
+use crate::lab::run_folder::Ended;
 use crate::station::Station;
+use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
 
 /// One flight in numbers.
@@ -32,12 +34,16 @@ pub struct Summary {
     pub real_time_factor: f64,
     /// Frames that the link has lost, by their sequence numbers.
     pub frames_lost: u64,
+    /// How the flight has ended.
+    pub ended: Ended,
     /// Whether the flight ended because the operator took the vehicle over.
     pub taken_over: bool,
     /// Whether the flight ended because the vehicle collided and fell.
     pub fell: bool,
     /// Setpoints of other stations that were not forwarded to the vehicle.
     pub setpoints_held_back: u64,
+    /// Where the controller's policies come from; `None` for a controller without any.
+    pub policy: Option<PolicyOrigin>,
 }
 
 /// Percentiles, ms.
@@ -52,7 +58,13 @@ pub struct Latency {
 impl Summary {
     /// The summary of a flight over a link; `None` if no interval was flown.
     #[must_use]
-    pub fn of(controller: Controller, seed: Option<u64>, station: &Station, flight: &Flight) -> Option<Self> {
+    pub fn of(
+        controller: Controller,
+        seed: Option<u64>,
+        station: &Station,
+        flight: &Flight,
+        ended: Ended,
+    ) -> Option<Self> {
         let scenario = station.scenario();
         let score = station.score()?;
         let at = |p: f64| quantile(&flight.latencies_us, p) / 1e3;
@@ -69,8 +81,10 @@ impl Summary {
             frames_lost: flight.lost,
             fell: scenario.safety.collision_action == CollisionAction::Fall
                 && station.records().last().is_some_and(|last| last.collided),
+            ended,
             taken_over: flight.ended == FlightEnd::TakenOver,
             setpoints_held_back: flight.suppressed_setpoints,
+            policy: station.policy().cloned(),
         })
     }
 }
@@ -86,8 +100,8 @@ pub fn table(flights: &[Summary]) -> String {
         ("  superseded", |f| f.commands.superseded.to_string()),
         ("  lost", |f| f.commands.lost.to_string()),
         ("percepts missed", |f| f.missed.to_string()),
-        ("picture to command, median, ms", |f| format!("{:.3}", f.latency_ms.p50)),
-        ("picture to command, p99, ms", |f| format!("{:.3}", f.latency_ms.p99)),
+        ("frame to command, median, ms", |f| format!("{:.3}", f.latency_ms.p50)),
+        ("frame to command, p99, ms", |f| format!("{:.3}", f.latency_ms.p99)),
         ("times real time", |f| format!("{:.0}", f.real_time_factor)),
         ("seed", |f| f.seed.map_or("-".into(), |s| s.to_string())),
     ];
@@ -108,9 +122,15 @@ pub fn table(flights: &[Summary]) -> String {
     }
     rows.iter().for_each(|(name, cell)| row(name, cell));
     text.push('\n');
-    for flight in flights.iter().filter(|flight| flight.taken_over) {
-        let ticks = flight.score.ticks;
-        text += &format!("{}: the operator took over after {ticks} intervals\n", flight.controller);
+    for flight in flights.iter().filter(|flight| flight.ended.how != FlightEnd::Over) {
+        let (how, ticks, why) = (flight.ended.how.key(), flight.score.ticks, &flight.ended.why);
+        text += &format!("{}: ended after {ticks} intervals, {how}: {why}\n", flight.controller);
+    }
+    for flight in flights {
+        if let Some(mismatch) = flight.policy.as_ref().and_then(PolicyOrigin::mismatch) {
+            let does = if flight.controller.flies_policies() { "flew" } else { "began its search with" };
+            text += &format!("{}: {does} a policy of another world: {mismatch}\n", flight.controller);
+        }
     }
     for flight in flights.iter().filter(|flight| flight.fell) {
         text += &format!("{}: collided and fell in interval {}\n", flight.controller, flight.score.ticks);

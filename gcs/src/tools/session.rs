@@ -46,6 +46,14 @@ pub struct LinkFlags {
     pub timeout: u64,
 }
 
+impl LinkFlags {
+    /// The autopilot of the only vehicle at this endpoint.
+    #[must_use]
+    pub fn to(connect: Endpoint) -> Self {
+        Self { connect, sysid: None, component: AUTOPILOT, signing_key: None, timeout: 10 }
+    }
+}
+
 /// Questions and answers of one protocol, without socket and clock.
 pub trait Exchange {
     /// What comes of it.
@@ -63,6 +71,7 @@ pub trait Exchange {
 /// A link to one vehicle.
 #[derive(Debug)]
 pub struct Session {
+    connect: Endpoint,
     hub: Hub,
     station: Encoder,
     decoder: Decoder,
@@ -85,6 +94,7 @@ impl Session {
             hub.sign_with(path)?;
         }
         let mut session = Self {
+            connect: link.connect.clone(),
             hub,
             station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
             decoder: Decoder::default(),
@@ -131,6 +141,19 @@ impl Session {
         }
     }
 
+    /// Where the vehicle is.
+    #[must_use]
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.connect
+    }
+
+    /// The open link, what writes to it, and the vehicle's system and component: for another shell to go on.
+    #[must_use]
+    pub fn into_parts(self) -> (Hub, Encoder, (u8, u8)) {
+        let target = self.target();
+        (self.hub, self.station, target)
+    }
+
     /// The vehicle's system and component.
     #[must_use]
     pub fn target(&self) -> (u8, u8) {
@@ -153,14 +176,14 @@ impl Session {
     async fn turn(&mut self, due: Option<Duration>) -> Result<Vec<Packet>> {
         let wake = due.map(|due| self.start + due);
         tokio::select! {
-            turned = self.hub.turn() => turned?,
+            () = self.hub.turn() => {}
             () = until(wake) => {}
             _ = self.beat.tick() => {
                 let mut datagram = Vec::new();
                 push_heartbeat(&mut self.station, &mut datagram);
-                self.hub.send(&datagram).await?;
+                self.hub.send(&datagram).await;
             }
-            () = interrupted() => bail!("interrupted"),
+            signal = interrupted() => bail!(signal.exit("nothing more is asked")),
         }
         self.hub.notices();
         let (now, mut ours) = (self.now(), Vec::new());
@@ -186,7 +209,7 @@ impl Session {
             let (now, mut datagram) = (self.now(), Vec::new());
             self.commands.poll(now, &mut self.station, &mut datagram);
             if !datagram.is_empty() {
-                self.hub.send(&datagram).await?;
+                self.hub.send(&datagram).await;
             }
             while let Some((done, result)) = self.commands.take() {
                 if done == request {
@@ -220,13 +243,13 @@ impl Session {
             let (now, mut datagram) = (self.now(), Vec::new());
             exchange.poll(now, &mut self.station, &mut datagram);
             if let Some(outcome) = exchange.outcome() {
-                self.send(&datagram).await?;
+                self.send(&datagram).await;
                 let (system, component) = self.target();
                 return outcome
                     .map_err(anyhow::Error::msg)
                     .with_context(|| format!("vehicle {system} component {component}"));
             }
-            self.send(&datagram).await?;
+            self.send(&datagram).await;
             for packet in self.turn(exchange.due()).await? {
                 exchange.packet(&packet, self.now());
             }
@@ -234,12 +257,14 @@ impl Session {
     }
 
     /// Ends the conversation: keeps what must not be forgotten.
-    pub async fn close(mut self) -> Result<()> {
-        self.hub.close().await
+    pub async fn close(mut self) {
+        self.hub.close().await;
     }
 
-    async fn send(&mut self, datagram: &[u8]) -> Result<()> {
-        if datagram.is_empty() { Ok(()) } else { self.hub.send(datagram).await }
+    async fn send(&mut self, datagram: &[u8]) {
+        if !datagram.is_empty() {
+            self.hub.send(datagram).await;
+        }
     }
 }
 

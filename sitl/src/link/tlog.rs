@@ -40,6 +40,11 @@ impl<W: Write> Tlog<W> {
         self.sink.write_all(&signing::strip(raw))
     }
 
+    /// What it is written to.
+    pub fn sink(&mut self) -> &mut W {
+        &mut self.sink
+    }
+
     /// Hands everything to the file.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()

@@ -171,7 +171,7 @@ impl Shell {
                 }
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                () = &mut interrupted => return Ended::Interrupted,
+                _ = &mut interrupted => return Ended::Interrupted,
             }
         }
     }
@@ -196,7 +196,7 @@ impl Shell {
                 due = timer.tick() => self.interval(due),
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                () = &mut interrupted => return Ended::Interrupted,
+                _ = &mut interrupted => return Ended::Interrupted,
             }
         }
     }

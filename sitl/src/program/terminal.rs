@@ -1,8 +1,9 @@
 //! What `sitl`, `gcs` and `model` do alike at a terminal: flags, version, log, output, errors, exit codes
 //! and signals.
 //!
-//! Exit codes: 0 for success, 1 for an error, 2 for wrong flags. Results go to stdout, the log and errors
-//! to stderr; an error takes one line.
+//! Exit codes: 0 for success, 1 for an error, 2 for wrong flags, 128 and the signal's number after a signal; a
+//! program may have further ones ([`ExitWith`]). Results go to stdout, the log and errors to stderr; an error
+//! takes one line.
 
 use std::future::Future;
 use std::io::{IsTerminal, Write};
@@ -28,8 +29,57 @@ pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> Ex
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", one_line(&error));
-            ExitCode::FAILURE
+            error.downcast_ref::<ExitWith>().map_or(ExitCode::FAILURE, |exit| exit.code.into())
         }
+    }
+}
+
+/// An end of a program with an exit code of its own.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{why}")]
+pub struct ExitWith {
+    /// The exit code.
+    pub code: u8,
+    /// What has happened, in one line.
+    pub why: String,
+}
+
+/// What asks a program to end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signal {
+    /// SIGHUP: the terminal was closed.
+    Hangup,
+    /// SIGINT: Ctrl-C.
+    Interrupt,
+    /// SIGTERM, as `docker stop` and service managers send it.
+    Terminate,
+}
+
+impl Signal {
+    /// The exit code of a program that it has ended: 128 and the signal's number.
+    #[must_use]
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::Hangup => 129,
+            Self::Interrupt => 130,
+            Self::Terminate => 143,
+        }
+    }
+
+    /// The end of a program by this signal, and what was done until then.
+    #[must_use]
+    pub fn exit(self, what: &str) -> ExitWith {
+        ExitWith { code: self.exit_code(), why: format!("{self}: {what}") }
+    }
+}
+
+impl std::fmt::Display for Signal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Hangup => "SIGHUP",
+            Self::Interrupt => "SIGINT",
+            Self::Terminate => "SIGTERM",
+        })
     }
 }
 
@@ -120,20 +170,54 @@ pub fn say(line: &str) {
     let _ = writeln!(stdout, "{}", line.trim_end()).and_then(|()| stdout.flush());
 }
 
-/// Returns on Ctrl-C, or when asked to end (SIGTERM), as `docker stop` and service managers do.
-pub async fn interrupted() {
+/// Waits for a signal that asks the program to end.
+pub async fn interrupted() -> Signal {
     #[cfg(unix)]
     {
-        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
-        if let Ok(mut terminate) = terminate {
-            tokio::select! {
-                _ = tokio::signal::ctrl_c() => {}
-                _ = terminate.recv() => {}
-            }
-            return;
+        use tokio::signal::unix::{SignalKind, signal};
+        let (terminate, hangup) = (signal(SignalKind::terminate()), signal(SignalKind::hangup()));
+        if let (Ok(mut terminate), Ok(mut hangup)) = (terminate, hangup) {
+            return tokio::select! {
+                _ = tokio::signal::ctrl_c() => Signal::Interrupt,
+                _ = terminate.recv() => Signal::Terminate,
+                _ = hangup.recv() => Signal::Hangup,
+            };
         }
     }
     let _ = tokio::signal::ctrl_c().await;
+    Signal::Interrupt
+}
+
+/// A signal that has come by now, for work that has no runtime: the first is taken here, the second ends the
+/// program as the system does it.
+#[derive(Debug, Clone)]
+pub struct StopSignal(std::sync::Arc<std::sync::OnceLock<Signal>>);
+
+impl StopSignal {
+    /// Listens from now on.
+    ///
+    /// # Errors
+    /// The system gives no signals.
+    pub fn listen() -> Result<Self> {
+        let seen = std::sync::Arc::new(std::sync::OnceLock::new());
+        let flag = std::sync::Arc::clone(&seen);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build();
+        let runtime = runtime.context("listening for signals")?;
+        std::thread::spawn(move || {
+            let signal = runtime.block_on(interrupted());
+            // Nothing else sets it.
+            let _ = flag.set(signal);
+            let second = runtime.block_on(interrupted());
+            std::process::exit(second.exit_code().into());
+        });
+        Ok(Self(seen))
+    }
+
+    /// The signal, if one has come.
+    #[must_use]
+    pub fn get(&self) -> Option<Signal> {
+        self.0.get().copied()
+    }
 }
 
 /// A flag's value: a number above 0.

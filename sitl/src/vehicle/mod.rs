@@ -35,7 +35,7 @@ mod messages;
 mod meter;
 mod missions;
 mod modes;
-mod params;
+pub mod params;
 mod plan;
 mod rates;
 mod streams;

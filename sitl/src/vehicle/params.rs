@@ -17,8 +17,13 @@
 //! | `COLLIDE_ACT` | 0 go on, as in the paper; 1 fall: the flight is over | at boot |
 //! | `UAV_RADIUS` | m | at boot |
 //! | `OBST_RADIUS`, `OBST_N`, `OBST_E`; of further obstacles `OBST2_RADIUS` ..., `OBST3_RADIUS` ... | m | at boot |
-//! | `START_N`, `START_E`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS` | m | at boot |
+//! | `OBST_VN`, `OBST_VE`, `OBST_MARGIN`; of further obstacles `OBST2_VN` ... | m/s; m/s; m | read only |
+//! | `START_N`, `START_E`, `GOAL_N`, `GOAL_E`, `GOAL_RADIUS`, `BS_N`, `BS_E` | m | at boot |
+//! | `CHAN_BLOCK_SOFT`, `CHAN_DIST_FLOOR`, `SAFE_D_MIN`, `SAFE_SOFT` | m | at boot |
+//! | `SAFE_TOL_COLL`, `SAFE_TOL_OUT` | 0 to 1 | at boot |
+//! | `FLT_HORIZON`, `CAM_EDGE_PX`, `PROP_*` | intervals; px; the paper's | read only |
 //! | `SCALE_UNIT_M`, `SCALE_DT_S`, `SCALE_ALT_M` | m; s; m | read only |
+//! | `STAT_NEXT_BOOT` | 1: what was set makes another flight from the next boot on | read only |
 //! | `STAT_*` | frames and bytes that came, by what became of them; setpoints | read only, and change by themselves |
 //! | `RADIO_TXP`, of component 68 | 1 or 4 | at once |
 //!
@@ -61,12 +66,25 @@ enum Holds {
     Count(fn(&Counts) -> u64),
     Setpoints,
     RefusedSetpoints,
-    /// A value of the scenario to be read.
-    Of(Get),
     /// A value of the scenario; whoever reads it decides whether it takes effect before the next boot.
     Setting(Get, Set),
+    /// A value of the scenario to be read; what reads it can put it into a scenario of its own.
+    Told(Get, Set),
     /// A length of the obstacle with this index, in a scenario that has so many; as [`Holds::Setting`].
     Obstacle(usize, fn(&mut Obstacle) -> &mut f64),
+    /// A length of that obstacle, or its change in an interval, in units; as [`Holds::Told`].
+    ObstacleTold(usize, ObstacleUnit, fn(&mut Obstacle) -> &mut f64),
+    /// Whether what was set makes another flight than the one that is flown, from the next boot on.
+    NextBoot,
+}
+
+/// The unit of a value of an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ObstacleUnit {
+    /// m
+    Length,
+    /// m/s
+    Speed,
 }
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
@@ -77,8 +95,8 @@ const fn rate(name: &'static str, id: u32) -> ParamSlot {
     ParamSlot { name, kind: REAL, holds: Holds::Rate(id) }
 }
 
-const fn of(name: &'static str, get: Get) -> ParamSlot {
-    ParamSlot { name, kind: REAL, holds: Holds::Of(get) }
+const fn told(name: &'static str, get: Get, set: Set) -> ParamSlot {
+    ParamSlot { name, kind: REAL, holds: Holds::Told(get, set) }
 }
 
 const fn real(name: &'static str, get: Get, set: Set) -> ParamSlot {
@@ -89,11 +107,24 @@ const fn int(name: &'static str, get: Get, set: Set) -> ParamSlot {
     ParamSlot { name, kind: INT, holds: Holds::Setting(get, set) }
 }
 
-const fn of_obstacle(index: usize, [radius, north, east]: [&'static str; 3]) -> [ParamSlot; 3] {
+const fn of_obstacle(index: usize, names: [&'static str; 6]) -> [ParamSlot; 6] {
+    let [radius, north, east, speed_north, speed_east, margin] = names;
+    let (length, speed) = (ObstacleUnit::Length, ObstacleUnit::Speed);
     [
         ParamSlot { name: radius, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.radius) },
         ParamSlot { name: north, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.y) },
         ParamSlot { name: east, kind: REAL, holds: Holds::Obstacle(index, |o| &mut o.position.x) },
+        ParamSlot {
+            name: speed_north,
+            kind: REAL,
+            holds: Holds::ObstacleTold(index, speed, |o| &mut o.velocity.y),
+        },
+        ParamSlot {
+            name: speed_east,
+            kind: REAL,
+            holds: Holds::ObstacleTold(index, speed, |o| &mut o.velocity.x),
+        },
+        ParamSlot { name: margin, kind: REAL, holds: Holds::ObstacleTold(index, length, |o| &mut o.margin) },
     ]
 }
 
@@ -174,15 +205,15 @@ static OF_AUTOPILOT: &[ParamSlot] = &[
 ];
 
 /// Between the two parts of the autopilot's table, as many rows as the scenario has obstacles.
-static OF_OBSTACLES: [[ParamSlot; 3]; MAX_OBSTACLES] = [
-    of_obstacle(0, ["OBST_RADIUS", "OBST_N", "OBST_E"]),
-    of_obstacle(1, ["OBST2_RADIUS", "OBST2_N", "OBST2_E"]),
-    of_obstacle(2, ["OBST3_RADIUS", "OBST3_N", "OBST3_E"]),
-    of_obstacle(3, ["OBST4_RADIUS", "OBST4_N", "OBST4_E"]),
-    of_obstacle(4, ["OBST5_RADIUS", "OBST5_N", "OBST5_E"]),
-    of_obstacle(5, ["OBST6_RADIUS", "OBST6_N", "OBST6_E"]),
-    of_obstacle(6, ["OBST7_RADIUS", "OBST7_N", "OBST7_E"]),
-    of_obstacle(7, ["OBST8_RADIUS", "OBST8_N", "OBST8_E"]),
+static OF_OBSTACLES: [[ParamSlot; 6]; MAX_OBSTACLES] = [
+    of_obstacle(0, ["OBST_RADIUS", "OBST_N", "OBST_E", "OBST_VN", "OBST_VE", "OBST_MARGIN"]),
+    of_obstacle(1, ["OBST2_RADIUS", "OBST2_N", "OBST2_E", "OBST2_VN", "OBST2_VE", "OBST2_MARGIN"]),
+    of_obstacle(2, ["OBST3_RADIUS", "OBST3_N", "OBST3_E", "OBST3_VN", "OBST3_VE", "OBST3_MARGIN"]),
+    of_obstacle(3, ["OBST4_RADIUS", "OBST4_N", "OBST4_E", "OBST4_VN", "OBST4_VE", "OBST4_MARGIN"]),
+    of_obstacle(4, ["OBST5_RADIUS", "OBST5_N", "OBST5_E", "OBST5_VN", "OBST5_VE", "OBST5_MARGIN"]),
+    of_obstacle(5, ["OBST6_RADIUS", "OBST6_N", "OBST6_E", "OBST6_VN", "OBST6_VE", "OBST6_MARGIN"]),
+    of_obstacle(6, ["OBST7_RADIUS", "OBST7_N", "OBST7_E", "OBST7_VN", "OBST7_VE", "OBST7_MARGIN"]),
+    of_obstacle(7, ["OBST8_RADIUS", "OBST8_N", "OBST8_E", "OBST8_VN", "OBST8_VE", "OBST8_MARGIN"]),
 ];
 
 static AFTER_OBSTACLES: &[ParamSlot] = &[
@@ -191,9 +222,36 @@ static AFTER_OBSTACLES: &[ParamSlot] = &[
     real("GOAL_N", |s| metres(s, s.goal.y), |s, v| s.goal.y = units(s, v)),
     real("GOAL_E", |s| metres(s, s.goal.x), |s, v| s.goal.x = units(s, v)),
     real("GOAL_RADIUS", |s| metres(s, s.goal_radius), |s, v| s.goal_radius = units(s, v)),
-    of("SCALE_UNIT_M", |s| s.scale.metres_per_unit),
-    of("SCALE_DT_S", |s| s.scale.interval_s),
-    of("SCALE_ALT_M", |s| s.scale.altitude_m),
+    real("BS_N", |s| metres(s, s.channel.base_station.y), |s, v| s.channel.base_station.y = units(s, v)),
+    real("BS_E", |s| metres(s, s.channel.base_station.x), |s, v| s.channel.base_station.x = units(s, v)),
+    real(
+        "CHAN_BLOCK_SOFT",
+        |s| metres(s, s.channel.blockage_softness),
+        |s, v| s.channel.blockage_softness = units(s, v),
+    ),
+    real(
+        "CHAN_DIST_FLOOR",
+        |s| metres(s, s.channel.distance_floor),
+        |s, v| s.channel.distance_floor = units(s, v),
+    ),
+    real("SAFE_D_MIN", |s| metres(s, s.safety.d_min), |s, v| s.safety.d_min = units(s, v)),
+    real("SAFE_SOFT", |s| metres(s, s.safety.softness), |s, v| s.safety.softness = units(s, v)),
+    real("SAFE_TOL_COLL", |s| s.safety.collision_tolerance, |s, v| s.safety.collision_tolerance = v),
+    real("SAFE_TOL_OUT", |s| s.safety.outage_tolerance, |s, v| s.safety.outage_tolerance = v),
+    told("FLT_HORIZON", |s| s.horizon as f64, |s, v| s.horizon = v as u64),
+    told("CAM_EDGE_PX", |s| s.camera.edge_px, |s, v| s.camera.edge_px = v),
+    told("PROP_P0", |s| s.propulsion.blade_profile_power, |s, v| s.propulsion.blade_profile_power = v),
+    told("PROP_PI", |s| s.propulsion.induced_power, |s, v| s.propulsion.induced_power = v),
+    told("PROP_TIP_SPEED", |s| s.propulsion.tip_speed, |s, v| s.propulsion.tip_speed = v),
+    told("PROP_V0", |s| s.propulsion.hover_induced_velocity, |s, v| s.propulsion.hover_induced_velocity = v),
+    told("PROP_D0", |s| s.propulsion.fuselage_drag_ratio, |s, v| s.propulsion.fuselage_drag_ratio = v),
+    told("PROP_RHO", |s| s.propulsion.air_density, |s, v| s.propulsion.air_density = v),
+    told("PROP_SOLIDITY", |s| s.propulsion.rotor_solidity, |s, v| s.propulsion.rotor_solidity = v),
+    told("PROP_AREA", |s| s.propulsion.rotor_area, |s, v| s.propulsion.rotor_area = v),
+    told("SCALE_UNIT_M", |s| s.scale.metres_per_unit, |s, v| s.scale.metres_per_unit = v),
+    told("SCALE_DT_S", |s| s.scale.interval_s, |s, v| s.scale.interval_s = v),
+    told("SCALE_ALT_M", |s| s.scale.altitude_m, |s, v| s.scale.altitude_m = v),
+    ParamSlot { name: "STAT_NEXT_BOOT", kind: INT, holds: Holds::NextBoot },
     count("STAT_RX_FRAMES", |c| c.frames),
     count("STAT_RX_BADCRC", |c| c.bad_crc),
     count("STAT_RX_TRUNC", |c| c.truncated),
@@ -446,10 +504,18 @@ impl Vehicle {
             Holds::Count(get) => get(&self.tally().packets) as f64,
             Holds::Setpoints => self.tally.setpoints as f64,
             Holds::RefusedSetpoints => self.tally.refused.values().sum::<u64>() as f64,
-            Holds::Of(_) | Holds::Setting(..) | Holds::Obstacle(..) => {
+            Holds::NextBoot => f64::from(u8::from(self.is_for_next_boot())),
+            Holds::Told(..) | Holds::Setting(..) | Holds::Obstacle(..) | Holds::ObstacleTold(..) => {
                 param.get(&self.settings).unwrap_or(f64::NAN)
             }
         }
+    }
+
+    /// Whether the settings are another flight than the one that is flown. What takes effect at once is not.
+    fn is_for_next_boot(&self) -> bool {
+        let flown = self.sim.scenario();
+        let (failsafe, autopilot) = (self.settings.failsafe.clone(), self.settings.autopilot.clone());
+        self.settings != Scenario { failsafe, autopilot, ..flown.clone() }
     }
 
     /// Takes a value if the parameter can have it. Whether it holds that value now, or is read only.
@@ -485,6 +551,76 @@ impl Vehicle {
     }
 }
 
+impl ObstacleUnit {
+    /// How many m, or m/s, are one unit, or one unit per interval.
+    fn size(self, settings: &Scenario) -> f64 {
+        match self {
+            Self::Length => settings.scale.metres_per_unit,
+            Self::Speed => settings.scale.mps_per_speed(),
+        }
+    }
+}
+
+/// A parameter that a world has and a vehicle did not tell.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no parameter {0}")]
+pub struct NoSuchParameter(pub &'static str);
+
+/// The parameters that tell a vehicle's world, with their values in `scenario`: all that decides a flight and its
+/// score but for the camera's effects and the observer, which are the station's.
+#[must_use]
+pub fn world_params(scenario: &Scenario) -> Vec<(&'static str, f32)> {
+    let slots = world_slots(scenario.obstacles.len());
+    slots.filter_map(|slot| Some((slot.name, slot.get(scenario)? as f32))).collect()
+}
+
+/// The scenario that these parameters tell, each by its name; numbers are the shortest decimals that a parameter
+/// holds. Unknown names are left out.
+///
+/// # Errors
+/// A parameter of [`world_params`] is missing.
+pub fn world_of(params: &[(String, f32)]) -> Result<Scenario, NoSuchParameter> {
+    let value = |name: &str| params.iter().find(|(known, _)| known == name).map(|(_, value)| *value);
+    let named = |slots: &[ParamSlot]| slots.iter().any(|slot| value(slot.name).is_some());
+    let obstacles = OF_OBSTACLES.iter().take_while(|slots| named(&slots[..])).count();
+    let mut world = Scenario { name: "the vehicle's".into(), ..Scenario::default() };
+    world.obstacles = vec![Obstacle::default(); obstacles];
+    // The scale comes first: lengths and speeds are told in its units.
+    let is_scale = |slot: &&ParamSlot| slot.name.starts_with("SCALE_");
+    let slots: Vec<&ParamSlot> = world_slots(obstacles).collect();
+    for slot in slots.iter().filter(|slot| is_scale(slot)).chain(slots.iter().filter(|slot| !is_scale(slot)))
+    {
+        let told = value(slot.name).ok_or(NoSuchParameter(slot.name))?;
+        // The shortest decimal that reads back as this float: 2.75 and not 2.7500000000000001.
+        let told: f64 = told.to_string().parse().unwrap_or(f64::NAN);
+        match slot.holds {
+            Holds::Told(_, set) | Holds::Setting(_, set) => set(&mut world, told),
+            Holds::Obstacle(index, length) => {
+                *length(&mut world.obstacles[index]) = rounded(units(&world, told));
+            }
+            Holds::ObstacleTold(index, unit, of) => {
+                *of(&mut world.obstacles[index]) = rounded(told / unit.size(&world));
+            }
+            _ => {}
+        }
+    }
+    Ok(world)
+}
+
+/// The shortest decimal that is the same float: what a division by the scale has left of a typed number.
+fn rounded(x: f64) -> f64 {
+    (x as f32).to_string().parse().unwrap_or(x)
+}
+
+/// The rows of the autopilot's table that hold a world's values.
+fn world_slots(obstacles: usize) -> impl Iterator<Item = &'static ParamSlot> {
+    let obstacles = OF_OBSTACLES.iter().take(obstacles).flatten();
+    OF_AUTOPILOT.iter().chain(obstacles).chain(AFTER_OBSTACLES).filter(|slot| {
+        let holds = &slot.holds;
+        matches!(holds, Holds::Told(..) | Holds::Setting(..) | Holds::Obstacle(..) | Holds::ObstacleTold(..))
+    })
+}
+
 /// Whether settings are a scenario, in which the vehicle by itself is no faster than it can be.
 fn is_flyable(settings: &Scenario) -> bool {
     let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
@@ -495,7 +631,11 @@ impl ParamSlot {
     /// Its value in a scenario, if it is one of a scenario.
     fn get(&self, settings: &Scenario) -> Option<f64> {
         match self.holds {
-            Holds::Of(get) | Holds::Setting(get, _) => Some(get(settings)),
+            Holds::Told(get, _) | Holds::Setting(get, _) => Some(get(settings)),
+            Holds::ObstacleTold(index, unit, value) => {
+                let mut obstacle = settings.obstacles[index].clone();
+                Some(*value(&mut obstacle) * unit.size(settings))
+            }
             Holds::Obstacle(index, length) => {
                 let mut obstacle = settings.obstacles[index].clone();
                 Some(metres(settings, *length(&mut obstacle)))

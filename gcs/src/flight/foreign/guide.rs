@@ -34,6 +34,7 @@ use crpl_sitl::radio::message::{Command, Percept};
 use super::Foreign;
 use super::scene::ForeignScene;
 use super::tracking::{Tracker, hold_height};
+use crate::flight::FlightEnd;
 use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
 use crate::tools::session::push_heartbeat;
@@ -91,8 +92,8 @@ pub enum GuideEvent {
     Holding,
     /// The vehicle has left its mode, and why.
     TakenOver(String),
-    /// It cannot go on, and why.
-    Failed(String),
+    /// It cannot go on, how that counts once it flies, and why.
+    Failed(FlightEnd, String),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -246,7 +247,8 @@ impl Guide {
                 if mode.stack != expected {
                     let name = self.foreign.stack.to_possible_value();
                     let name = name.as_ref().map_or("?", |name| name.get_name());
-                    return self.fail(format!("{news}, and not what --vehicle {name} flies"));
+                    return self
+                        .fail(FlightEnd::LinkLost, format!("{news}, and not what --vehicle {name} flies"));
                 }
                 self.system = Some(id);
                 self.request_streams(id, now);
@@ -282,10 +284,10 @@ impl Guide {
         self.events.push_back(GuideEvent::Say(text));
     }
 
-    fn fail(&mut self, why: String) {
+    fn fail(&mut self, how: FlightEnd, why: String) {
         if self.phase != GuidePhase::Done {
             self.phase = GuidePhase::Done;
-            self.events.push_back(GuideEvent::Failed(why));
+            self.events.push_back(GuideEvent::Failed(how, why));
         }
     }
 
@@ -374,7 +376,10 @@ impl Guide {
         }
         let Some(place) = self.place.filter(|_| self.known()) else { return };
         if self.phase != GuidePhase::Done && now.saturating_sub(place.at) > SILENCE {
-            return self.fail(format!("the vehicle has not said where it is for {} s", SILENCE.as_secs()));
+            return self.fail(
+                FlightEnd::LinkLost,
+                format!("the vehicle has not said where it is for {} s", SILENCE.as_secs()),
+            );
         }
         match self.phase {
             GuidePhase::Waiting => {
@@ -414,7 +419,7 @@ impl Guide {
         };
         let complaint =
             if self.complaint.is_empty() { String::new() } else { format!("; it says: {}", self.complaint) };
-        self.fail(format!("{what}, {} s long{complaint}", PATIENCE.as_secs()));
+        self.fail(FlightEnd::LinkLost, format!("{what}, {} s long{complaint}", PATIENCE.as_secs()));
     }
 
     fn ask_once(&mut self, command: MavCmd, params: &[f32], now: Duration) {
@@ -470,7 +475,7 @@ impl Guide {
     /// Begins the control interval that is due on the vehicle's clock.
     fn tick(&mut self, place: &ReportedPlace, now: Duration) {
         if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
-            return self.fail("the vehicle has started anew in flight".into());
+            return self.fail(FlightEnd::Rebooted, "the vehicle has started anew in flight".into());
         }
         let period = self.period();
         let Some(scene) = self.scene.as_mut().filter(|_| place.boot >= self.next_tick) else { return };

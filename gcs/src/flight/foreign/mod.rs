@@ -22,10 +22,9 @@ use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::terminal::interrupted;
-use crpl_sitl::radio::message::{Command, Percept};
 use tokio::time::{Instant, sleep_until};
 
-use crate::flight::{Flight, FlightEnd, Options};
+use crate::flight::{Crew, Flight, FlightEnd, Options};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
@@ -42,13 +41,16 @@ pub struct Foreign {
     pub speed: f64,
 }
 
-/// Takes the vehicle off and flies `station` on it, which is asked once for each percept.
+/// Takes the vehicle off and flies `crew` on it.
+///
+/// # Errors
+/// Whatever keeps the flight from beginning; later events are in [`Flight::ended`].
 pub async fn fly(
     connect: &Endpoint,
     scenario: &Scenario,
     foreign: &Foreign,
     options: &Options,
-    mut station: impl FnMut(&Percept) -> Command,
+    crew: &mut impl Crew,
 ) -> Result<Flight> {
     let mut hub = options.open(connect).await?;
     let ticks = options.ticks.unwrap_or(scenario.horizon);
@@ -61,37 +63,50 @@ pub async fn fly(
         let now = start.elapsed();
         let datagram = guide.poll(now);
         if !datagram.is_empty() {
-            hub.send(&datagram).await?;
+            hub.send(&datagram).await;
         }
         while let Some(event) = guide.take() {
             match event {
                 GuideEvent::Say(text) => tracing::info!("{text}"),
                 GuideEvent::TakeControl(system) => hub.take_control(Some(system)),
                 GuideEvent::Percept(percept) => {
+                    if begun.is_none()
+                        && let Some(tlog) = crew.begin()?
+                    {
+                        hub.log_to(&tlog)?;
+                    }
                     let arrived = Instant::now();
-                    let command = station(&percept);
-                    hub.send(&guide.fly(&command, start.elapsed())).await?;
+                    let command = crew.command(&percept);
+                    let datagram = guide.fly(&command, start.elapsed());
+                    hub.send(&datagram).await;
                     flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
                     flight.wall = arrived - *begun.get_or_insert(arrived);
                     flight.last = Some(percept);
+                    crew.sent();
                 }
                 GuideEvent::Over(percept) => flight.last = Some(percept),
-                GuideEvent::Holding => return end(hub, flight, FlightEnd::Over).await,
+                GuideEvent::Holding => return Ok(end(hub, flight, FlightEnd::Over, String::new()).await),
                 GuideEvent::TakenOver(why) => {
                     tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
-                    return end(hub, flight, FlightEnd::TakenOver).await;
+                    let why = format!("the operator has taken over: {why}");
+                    return Ok(end(hub, flight, FlightEnd::TakenOver, why).await);
                 }
-                GuideEvent::Failed(why) => bail!("{connect}: {why}"),
+                GuideEvent::Failed(how, why) if begun.is_some() => {
+                    tracing::warn!("the flight ends: {why}");
+                    return Ok(end(hub, flight, how, format!("{connect}: {why}")).await);
+                }
+                GuideEvent::Failed(_, why) => bail!("{connect}: {why}"),
             }
         }
         let due = start + guide.due().max(now + Duration::from_millis(1));
         tokio::select! {
-            turned = hub.turn() => turned?,
+            () = hub.turn() => {}
             () = sleep_until(due) => {}
-            () = &mut interrupted => {
+            signal = &mut interrupted => {
                 let datagram = guide.let_go(start.elapsed());
-                hub.send(&datagram).await?;
-                return end(hub, flight, FlightEnd::Interrupted).await;
+                hub.send(&datagram).await;
+                let why = format!("{signal}: the vehicle was asked to hold its place");
+                return Ok(end(hub, flight, FlightEnd::Interrupted(signal), why).await);
             }
         }
         for notice in hub.notices() {
@@ -106,14 +121,16 @@ pub async fn fly(
     }
 }
 
-async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd) -> Result<Flight> {
-    hub.close().await?;
+async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd, why: String) -> Flight {
+    hub.close().await;
     let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
-    Ok(Flight {
+    Flight {
         ended,
+        why,
         packets: hub.counts(),
         lost,
         suppressed_setpoints: hub.router().suppressed_setpoints(),
+        log_error: hub.log_error().map(str::to_owned),
         ..flight
-    })
+    }
 }

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
+use crpl_sitl::link::AUTOPILOT;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
 use crpl_sitl::link::encoder::Encoder;
@@ -17,7 +18,6 @@ use crpl_sitl::link::image::{self, Reassembler};
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
-use crpl_sitl::link::{AUTOPILOT, STATION_COMPONENT, STATION_SYSTEM};
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::units::Tick;
 
@@ -37,6 +37,8 @@ pub enum RemoteEvent {
     News(News),
     /// The vehicle has left GUIDED for this mode: somebody else flies it.
     LeftGuided(FlightMode),
+    /// The vehicle's time has gone back from one tick to another: it has booted anew.
+    Rebooted(Tick, Tick),
 }
 
 /// The far end of the link.
@@ -47,7 +49,9 @@ pub struct Remote {
     reports: TelemetryReader,
     images: Reassembler,
     station: Encoder,
-    system: Option<u8>,
+    system: u8,
+    /// Reports in a row that are older than the newest.
+    older: u32,
     /// Of the percept to come.
     report: Option<Telemetry>,
     /// Of the percept to come.
@@ -59,20 +63,26 @@ pub struct Remote {
     fleet: Fleet,
 }
 
+/// Old reports in a row after which the vehicle's time has gone back: fewer may be late ones.
+const REBOOT: u32 = 3;
+/// ArduCopter's mode BRAKE, and MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
+const BRAKE: [f32; 2] = [1.0, 17.0];
+
 /// Repeats without a new percept after which the pictures are asked for again.
 const PICTURES_MISSING: u32 = 5;
 
 impl Remote {
-    /// A vehicle that flies this scenario and has not been heard yet.
+    /// The vehicle `system`, which flies this scenario; `station` writes to it.
     #[must_use]
-    pub fn new(scenario: &Scenario) -> Self {
+    pub fn new(scenario: &Scenario, system: u8, station: Encoder) -> Self {
         Self {
             clock: Clock::new(scenario),
             decoder: Decoder::default(),
             reports: TelemetryReader::default(),
             images: Reassembler::default(),
-            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
-            system: None,
+            station,
+            system,
+            older: 0,
             report: None,
             frame: None,
             newest: None,
@@ -87,11 +97,7 @@ impl Remote {
         let packets = self.decoder.datagram(bytes);
         let mut events = Vec::new();
         for packet in &packets {
-            // The first autopilot that is heard is ours.
-            if packet.component == AUTOPILOT && packet.system != STATION_SYSTEM {
-                self.system.get_or_insert(packet.system);
-            }
-            if self.system == Some(packet.system) {
+            if self.system == packet.system {
                 self.packet(packet, now, &mut events);
             }
         }
@@ -100,6 +106,10 @@ impl Remote {
 
     fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<RemoteEvent>) {
         if let Some(report) = self.reports.push(packet, &self.clock) {
+            self.older = if Some(report.tick) < self.newest { self.older + 1 } else { 0 };
+            if let Some(newest) = self.newest.filter(|_| self.older == REBOOT) {
+                events.push(RemoteEvent::Rebooted(newest, report.tick));
+            }
             if self.newest == Some(report.tick) {
                 events.push(RemoteEvent::Repeat(report.tick));
             } else if self.newest < Some(report.tick) {
@@ -145,8 +155,7 @@ impl Remote {
     pub fn command(&mut self, command: &Command) -> Vec<u8> {
         self.command = Some(*command);
         let mut datagram = Vec::new();
-        let system = self.system.unwrap_or_default();
-        wire::push_command(command, &self.clock, system, &mut self.station, &mut datagram);
+        wire::push_command(command, &self.clock, self.system, &mut self.station, &mut datagram);
         datagram
     }
 
@@ -170,8 +179,23 @@ impl Remote {
     /// The datagram that confirms the last percept of a flight.
     pub fn acknowledgement(&mut self, tick: Tick) -> Vec<u8> {
         let mut datagram = Vec::new();
-        let system = self.system.unwrap_or_default();
-        wire::push_setpoint(tick, [0.0; 2], &self.clock, system, &mut self.station, &mut datagram);
+        wire::push_setpoint(tick, [0.0; 2], &self.clock, self.system, &mut self.station, &mut datagram);
+        datagram
+    }
+
+    /// The datagram that asks the vehicle to brake, and to stay where it comes to a stop.
+    pub fn brake(&mut self) -> Vec<u8> {
+        let [flag, mode] = BRAKE;
+        let command = dialect::COMMAND_LONG_DATA {
+            target_system: self.system,
+            target_component: AUTOPILOT,
+            command: dialect::MavCmd::MAV_CMD_DO_SET_MODE,
+            param1: flag,
+            param2: mode,
+            ..Default::default()
+        };
+        let mut datagram = Vec::new();
+        self.station.push(&mut datagram, &command);
         datagram
     }
 
@@ -205,12 +229,12 @@ impl Remote {
     /// Whether the vehicle was heard and its heartbeats are missing.
     #[must_use]
     pub fn is_lost(&self) -> bool {
-        self.system.is_some_and(|system| self.fleet.is_lost(system))
+        self.fleet.is_lost(self.system)
     }
 
-    /// The vehicle's system id, once heard.
+    /// The vehicle's system id.
     #[must_use]
-    pub fn system(&self) -> Option<u8> {
+    pub fn system(&self) -> u8 {
         self.system
     }
 

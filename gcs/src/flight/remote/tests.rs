@@ -20,6 +20,10 @@ fn scenario() -> Scenario {
     scenario
 }
 
+fn remote(system: u8) -> Remote {
+    Remote::new(&scenario(), system, Encoder::new(255, 190))
+}
+
 /// A pilot whose choice depends on every byte that it sees, so that no difference stays hidden.
 fn pilot(percept: &Percept) -> Command {
     let report = format!("{:?}", percept.telemetry);
@@ -58,7 +62,7 @@ fn through(fate: impl Fn(u64) -> Fate) -> (Vec<Percept>, crpl_sitl::radio::Fates
     let station: SocketAddr = ([127, 0, 0, 1], 1).into();
     let now = Duration::ZERO;
     let mut vehicle = Vehicle::new(Sim::new(scenario(), 3), 9, Some(TICKS));
-    let mut remote = Remote::new(&scenario());
+    let mut remote = remote(9);
     let mut percepts: Vec<Percept> = Vec::new();
     let mut late: VecDeque<(bool, Vec<u8>)> = VecDeque::new();
     let mut down: VecDeque<Vec<u8>> = [remote.heartbeat(), remote.image_request()].into();
@@ -101,6 +105,7 @@ fn through(fate: impl Fn(u64) -> Fate) -> (Vec<Percept>, crpl_sitl::radio::Fates
                             percepts.push(percept);
                         }
                         RemoteEvent::Repeat(_) => down.extend(remote.repeat()),
+                        RemoteEvent::Rebooted(..) => panic!("late parts are no reboot"),
                         RemoteEvent::Text(..) | RemoteEvent::News(_) | RemoteEvent::LeftGuided(_) => {}
                     }
                 }
@@ -143,7 +148,7 @@ fn datagrams_that_come_twice_or_again_much_later_change_nothing() {
 fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
     let station: SocketAddr = ([127, 0, 0, 1], 1).into();
     let mut vehicle = Vehicle::new(Sim::new(scenario(), 3), 9, None);
-    let mut remote = Remote::new(&scenario());
+    let mut remote = remote(9);
     let mut decoder = Decoder::default();
     let mut sent = vec![remote.heartbeat(), remote.image_request()];
     for bytes in &sent {
@@ -156,7 +161,7 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
             }
         }
     }
-    assert_eq!(remote.system(), Some(9));
+    assert_eq!(remote.system(), 9);
     let packets: Vec<Packet> = sent.iter().flat_map(|bytes| decoder.datagram(bytes)).collect();
     let sequence: Vec<u8> = packets.iter().map(|p| p.sequence).collect();
     assert!(sequence.len() >= 4 && sequence.iter().copied().eq(0..sequence.len() as u8), "{sequence:?}");
@@ -166,7 +171,7 @@ fn the_station_speaks_with_contiguous_numbers_and_to_the_vehicle_it_heard() {
 
 #[test]
 fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
-    let mut remote = Remote::new(&scenario());
+    let mut remote = remote(9);
     let (mut ours, mut other) = (Encoder::new(9, 1), Encoder::new(8, 1));
     let mut heartbeat = |encoder: &mut Encoder, custom_mode| {
         let mut bytes = Vec::new();
@@ -189,7 +194,7 @@ fn leaving_guided_is_told_once_and_only_of_our_vehicle() {
 
 #[test]
 fn a_link_is_lost_after_five_heartbeats_and_regained() {
-    let mut remote = Remote::new(&scenario());
+    let mut remote = remote(9);
     let mut vehicle = Encoder::new(9, 1);
     let mut heartbeat = |remote: &mut Remote, seconds| {
         let mut bytes = Vec::new();
@@ -206,27 +211,24 @@ fn a_link_is_lost_after_five_heartbeats_and_regained() {
 
 #[test]
 fn another_vehicle_on_the_same_link_is_not_ours() {
-    let mut remote = Remote::new(&scenario());
-    let hear = |remote: &mut Remote, system| {
+    let mut ours = remote(4);
+    let mut hear = |system| {
         let mut vehicle = Vehicle::new(Sim::new(scenario(), 3), system, None);
         let station: SocketAddr = ([127, 0, 0, 1], 1).into();
-        let mut other = Remote::new(&scenario());
-        vehicle.datagram(&other.image_request(), station, Duration::ZERO);
+        vehicle.datagram(&remote(system).image_request(), station, Duration::ZERO);
         let sent: Vec<_> = std::iter::from_fn(|| vehicle.poll()).collect();
         sent.iter()
-            .flat_map(|(_, bytes)| remote.datagram(bytes, Duration::ZERO))
+            .flat_map(|(_, bytes)| ours.datagram(bytes, Duration::ZERO))
             .filter(|e| matches!(e, RemoteEvent::Percept(_)))
             .count()
     };
-    assert_eq!(hear(&mut remote, 4), 1);
-    assert_eq!(hear(&mut remote, 5), 0);
-    assert_eq!(remote.system(), Some(4));
+    assert_eq!([hear(5), hear(4), hear(5)], [0, 1, 0]);
 }
 
 proptest! {
     #[test]
     fn junk_never_panics(junk in prop::collection::vec(any::<u8>(), 0..1500)) {
-        let mut remote = Remote::new(&scenario());
+        let mut remote = remote(9);
         prop_assert!(remote.datagram(&junk, Duration::ZERO).is_empty());
     }
 }

@@ -16,6 +16,8 @@ use anyhow::{Context, Result};
 use crpl_model::evaluation::chart;
 use plotters::style::RGBColor;
 
+use crpl_sitl::program::terminal::StopSignal;
+
 use crate::lab::policies;
 use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
@@ -100,8 +102,8 @@ pub fn run(args: &Report) -> Result<()> {
         "scenarios" | "all" => None,
         dir => Some(open(Path::new(dir))?),
     };
-    std::fs::create_dir_all(&out).with_context(|| format!("creating {}", out.display()))?;
     if let Some(finished) = finished {
+        create(&out)?;
         finished.show(&mut page, &out, "")?;
         print!("{}", finished.text());
     } else {
@@ -118,6 +120,11 @@ pub fn run(args: &Report) -> Result<()> {
     Ok(())
 }
 
+/// Makes the report's folder, once there is something to write.
+fn create(out: &Path) -> Result<()> {
+    std::fs::create_dir_all(out).with_context(|| format!("creating {}", out.display()))
+}
+
 fn open(dir: &Path) -> Result<Finished> {
     let folder = Folder::open(dir)?;
     let episodes = folder.finished()?;
@@ -132,7 +139,9 @@ fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) ->
     for scenario in scenarios::worlds()? {
         policies::cover(models, controllers, &scenario, args.models.optimise)?;
     }
-    for flown in scenarios::fly(models, controllers, scenarios::GUSTY)? {
+    let flown = scenarios::fly(models, controllers, scenarios::GUSTY, Some(&StopSignal::listen()?))?;
+    create(out)?;
+    for flown in flown {
         flown.show(page, out)?;
         println!("{}", flown.text());
     }

@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::sim::metric::{self, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Snr, TxPower};
@@ -120,7 +121,12 @@ fn in_gusts(mut scenario: Scenario) -> Scenario {
 }
 
 /// Flies both scenarios by these controllers; in Scenario 2 each flies in gusts, too, so many times.
-pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Vec<Flown>> {
+pub fn fly(
+    models: &Models,
+    controllers: &[Controller],
+    gusty: u64,
+    stop: Option<&StopSignal>,
+) -> Result<Vec<Flown>> {
     let fly_one = |(number, preset): (u8, &str)| -> Result<Flown> {
         let scenario = Scenario::named(preset)?;
         let mut flights: Vec<ScenarioFlight> = controllers
@@ -129,7 +135,7 @@ pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Ve
             .collect::<Result<_>>()?;
         if number == 2 {
             for flight in &mut flights {
-                flight.gusty_below = Some(gusty_below(models, flight.controller, &scenario, gusty)?);
+                flight.gusty_below = Some(gusty_below(models, flight.controller, &scenario, gusty, stop)?);
             }
         }
         Ok(Flown { number, scenario, flights })
@@ -137,14 +143,24 @@ pub fn fly(models: &Models, controllers: &[Controller], gusty: u64) -> Result<Ve
     (1..).zip(SCENARIOS).map(fly_one).collect()
 }
 
-fn gusty_below(models: &Models, controller: Controller, scenario: &Scenario, flights: u64) -> Result<f64> {
+fn gusty_below(
+    models: &Models,
+    controller: Controller,
+    scenario: &Scenario,
+    flights: u64,
+    stop: Option<&StopSignal>,
+) -> Result<f64> {
     let (_, first) = GUSTS;
     let scenario = in_gusts(scenario.clone());
     let contender = Contender::new(models, controller, &scenario)?;
     let below: Vec<bool> = (first..first + flights)
         .into_par_iter()
+        .filter(|_| stop.is_none_or(|stop| stop.get().is_none()))
         .map(|seed| Ok(contender.fly(seed)?.is(FlightOutcome::Below)))
         .collect::<Result<_>>()?;
+    if let Some(signal) = stop.and_then(StopSignal::get) {
+        return Err(signal.exit("the scenarios were not flown to their end; nothing is written").into());
+    }
     Ok(below.iter().filter(|b| **b).count() as f64 / flights.max(1) as f64)
 }
 
@@ -408,7 +424,7 @@ mod tests {
     fn reactive_controllers_are_late_and_the_oracle_is_not() {
         // Both need no policy, so this is told from the equations alone.
         let models = Models::load(None, None).unwrap();
-        let flown = fly(&models, &[Controller::Apc, Controller::Rcc], 8).unwrap();
+        let flown = fly(&models, &[Controller::Apc, Controller::Rcc], 8, None).unwrap();
         for scenario in &flown {
             let [apc, rcc] = &scenario.flights[..] else { panic!("two flights") };
             assert!(apc.violations.is_empty() && apc.raises_in_time(), "{:?}", apc.high);

@@ -24,13 +24,12 @@ pub mod plan;
 pub mod table;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::files::fingerprint;
-use crpl_sitl::program::{progress, terminal};
+use crpl_sitl::program::progress;
+use crpl_sitl::program::terminal::{Signal, StopSignal};
 use rayon::prelude::*;
 
 use crate::lab::{Contender, policies};
@@ -148,7 +147,7 @@ pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<SweepEpisode>> {
         Progress::Finished(episodes) => return Ok(episodes),
         Progress::Begun(journal, episodes) => (journal, episodes),
     };
-    let stop = stop_when_interrupted()?;
+    let stop = StopSignal::listen()?;
     let flown = fly(folder, models, &episodes, &journal, &stop)?;
     episodes.extend(flown);
     let episodes = folder.finish(episodes)?;
@@ -162,7 +161,7 @@ fn fly(
     models: &Models,
     done: &[SweepEpisode],
     journal: &Journal,
-    stop: &AtomicBool,
+    stop: &StopSignal,
 ) -> Result<Vec<SweepEpisode>> {
     let plan = &folder.plan;
     let mut contenders = Vec::new();
@@ -190,7 +189,7 @@ fn fly(
         .into_par_iter()
         .with_max_len(1)
         .map(|((x, contender), seed)| {
-            if stop.load(Ordering::Relaxed) {
+            if stop.get().is_some() {
                 return Ok(None);
             }
             let episode = SweepEpisode::fly(contender, *x, seed)?;
@@ -203,25 +202,11 @@ fn fly(
     let flown: Vec<SweepEpisode> = flown?.into_iter().flatten().collect();
     let all = done.len() + flown.len();
     if all < total {
-        bail!(
-            "interrupted: {all} of {total} episodes are kept in {}; the same command resumes",
-            folder.dir().display()
-        );
+        let kept = folder.dir().display();
+        let what = format!("{all} of {total} episodes are kept in {kept}; the same command resumes");
+        return Err(stop.get().unwrap_or(Signal::Interrupt).exit(&what).into());
     }
     Ok(flown)
-}
-
-/// Becomes true at the first Ctrl-C or SIGTERM: flights in the air are finished, no new one starts.
-fn stop_when_interrupted() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_io().build().context("listening for signals")?;
-    std::thread::spawn(move || {
-        runtime.block_on(terminal::interrupted());
-        flag.store(true, Ordering::Relaxed);
-    });
-    Ok(stop)
 }
 
 /// Prints the rows, for people or programs.

@@ -77,7 +77,7 @@ pub async fn run(args: Bridge) -> Result<()> {
         scrapes = Some(requests);
     }
     route(&mut hub, scrapes, Duration::from_secs(args.every)).await?;
-    hub.close().await?;
+    hub.close().await;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
     Ok(())
 }
@@ -93,9 +93,9 @@ async fn route(
     let mut interrupted = std::pin::pin!(interrupted());
     loop {
         tokio::select! {
-            done = hub.turn() => done?,
+            () = hub.turn() => {}
             _ = tick.tick() => {
-                hub.save()?;
+                hub.save();
                 let since = printed.elapsed();
                 if !period.is_zero() && since >= period {
                     printed = Instant::now();
@@ -107,7 +107,7 @@ async fn route(
                 // A client that has gone away wants no answer.
                 let _ = reply.send(counters::prometheus(&hub.rows(), hub.forward(), hub.elapsed()));
             }
-            () = &mut interrupted => return Ok(()),
+            _ = &mut interrupted => return Ok(()),
         }
         for notice in hub.notices() {
             tell(&notice, hub);

@@ -80,5 +80,6 @@ pub async fn run(args: Missions) -> Result<()> {
             println!("vehicle {} has no mission any more", target.0);
         }
     }
-    session.close().await
+    session.close().await;
+    Ok(())
 }

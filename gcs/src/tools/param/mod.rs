@@ -96,7 +96,8 @@ pub async fn run(args: Params) -> Result<()> {
             println!("{} parameters in {}", params.len(), file.display());
         }
     }
-    session.close().await
+    session.close().await;
+    Ok(())
 }
 
 /// How the vehicle packs integers: as its capabilities say, or as its flight stack does.

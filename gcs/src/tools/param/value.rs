@@ -105,6 +105,15 @@ pub enum NoNumber {
 }
 
 impl Number {
+    /// Its value as a float, the width of a cast parameter.
+    #[must_use]
+    pub fn as_f32(self) -> f32 {
+        match self {
+            Self::Int(value) => value as f32,
+            Self::Real(value) => value,
+        }
+    }
+
     /// What a person wrote, for a parameter of this kind. `3.0` is a whole number.
     pub fn parse(text: &str, kind: Kind) -> Result<Self, NoNumber> {
         let number = || NoNumber::Text(text.into());

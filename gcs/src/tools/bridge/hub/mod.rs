@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
@@ -52,6 +52,30 @@ enum Exit {
     Peer(PeerId),
 }
 
+/// Where a tlog goes.
+#[derive(Debug)]
+enum LogSink {
+    /// No file is named yet.
+    Ahead(Vec<u8>),
+    File(BufWriter<File>),
+}
+
+impl Write for LogSink {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Ahead(kept) => kept.write(bytes),
+            Self::File(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        match self {
+            Self::Ahead(_) => Ok(()),
+            Self::File(file) => file.flush(),
+        }
+    }
+}
+
 /// Links and router.
 #[derive(Debug)]
 pub struct Hub {
@@ -64,7 +88,9 @@ pub struct Hub {
     peers: BTreeMap<PeerId, LinkId>,
     local: Option<LinkId>,
     heard: VecDeque<Vec<u8>>,
-    tlog: Option<Tlog<BufWriter<File>>>,
+    tlog: Option<Tlog<LogSink>>,
+    /// Why the tlog, or the timestamps of signatures, are no longer written.
+    log_error: Option<String>,
     signer: Option<LinkSigner>,
     /// Signs all packets to the vehicle's side and checks all from there.
     vehicle_signer: Option<LinkSigner>,
@@ -94,6 +120,7 @@ impl Hub {
             local: None,
             heard: VecDeque::new(),
             tlog: None,
+            log_error: None,
             signer: None,
             vehicle_signer: None,
             signed_links: BTreeMap::new(),
@@ -127,11 +154,40 @@ impl Hub {
         link
     }
 
-    /// Writes every frame that passes into a tlog.
+    /// Keeps every frame that passes until [`Hub::log_to`] names a file.
+    pub fn log_ahead(&mut self) {
+        self.tlog = Some(Tlog::new(LogSink::Ahead(Vec::new())));
+    }
+
+    /// Writes every frame that passes into a tlog, those that were kept first.
+    ///
+    /// # Errors
+    /// The file cannot be created. One that cannot be written later stops no frame: [`Hub::log_error`].
     pub fn log_to(&mut self, path: &Path) -> Result<()> {
         let file = File::create(path).with_context(|| format!("creating {}", path.display()))?;
-        self.tlog = Some(Tlog::new(BufWriter::new(file)));
+        let mut sink = LogSink::File(BufWriter::new(file));
+        let tlog = self.tlog.get_or_insert_with(|| Tlog::new(LogSink::Ahead(Vec::new())));
+        if let LogSink::Ahead(kept) = tlog.sink() {
+            let kept = sink.write_all(kept);
+            *tlog.sink() = sink;
+            self.logged(kept);
+        }
         Ok(())
+    }
+
+    /// Why the tlog, or the timestamps of signatures, could not be written, if so: a full disk for one.
+    #[must_use]
+    pub fn log_error(&self) -> Option<&str> {
+        self.log_error.as_deref()
+    }
+
+    /// An error of writing is said once, and ends the log alone.
+    fn logged(&mut self, result: std::io::Result<()>) {
+        if let Err(error) = result {
+            tracing::error!("the tlog ends here: {error}; messages are passed on all the same");
+            self.log_error.get_or_insert_with(|| format!("writing the tlog: {error}"));
+            self.tlog = None;
+        }
     }
 
     /// Signs all packets of this program and accepts only signed ones, with the key in a file.
@@ -147,20 +203,28 @@ impl Hub {
         Ok(())
     }
 
-    /// Hands the tlog, and the timestamps of signatures, to their files; once a second is often enough.
-    pub fn save(&mut self) -> Result<()> {
-        self.write(false)
+    /// Hands the tlog, and the timestamps of signatures, to their files; once a second is often enough. What
+    /// cannot be written stops nothing.
+    pub fn save(&mut self) {
+        self.write(false);
     }
 
     /// The same at the end, when every stream has written what waits.
-    pub async fn close(&mut self) -> Result<()> {
+    pub async fn close(&mut self) {
         self.links.close().await;
-        self.write(true)
+        self.write(true);
     }
 
-    fn write(&mut self, end: bool) -> Result<()> {
-        self.tlog.as_mut().map_or(Ok(()), Tlog::flush).context("writing the tlog")?;
-        [&self.signer, &self.vehicle_signer].into_iter().flatten().try_for_each(|signer| signer.save(end))
+    fn write(&mut self, end: bool) {
+        let flushed = self.tlog.as_mut().map_or(Ok(()), Tlog::flush);
+        self.logged(flushed);
+        let saved = [&self.signer, &self.vehicle_signer].into_iter().flatten().try_for_each(|s| s.save(end));
+        if let Err(error) = saved {
+            if self.log_error.is_none() {
+                tracing::error!("{error:#}; messages are signed and passed on all the same");
+            }
+            self.log_error.get_or_insert_with(|| format!("{error:#}"));
+        }
     }
 
     /// This program alone sends setpoints to `vehicle`: see [`Router::take_control`]. `None` ends that.
@@ -226,51 +290,47 @@ impl Hub {
     }
 
     /// Sends what this program says.
-    pub async fn send(&mut self, datagram: &[u8]) -> Result<()> {
+    pub async fn send(&mut self, datagram: &[u8]) {
         let local = self.local();
         match self.signer.as_mut().map(|signer| signer.sign(datagram)) {
-            None => self.receive(local, datagram)?,
+            None => self.receive(local, datagram),
             Some(signed) => {
                 for part in signed {
-                    self.receive(local, &part)?;
+                    self.receive(local, &part);
                 }
             }
         }
         self.flush().await;
-        Ok(())
     }
 
     /// Waits until something comes in, and passes on the burst that is there.
     ///
     /// Cancel-safe: nothing that was read is lost.
-    pub async fn turn(&mut self) -> Result<()> {
+    pub async fn turn(&mut self) {
         let first = self.links.receive(&mut self.buffer).await;
         self.arrived = Instant::now();
         // Out of `self` while it is read from; never across an await.
         let mut buffer = std::mem::take(&mut self.buffer);
-        let taken = self.burst(first, &mut buffer);
+        self.burst(first, &mut buffer);
         self.buffer = buffer;
-        taken?;
         self.flush().await;
         self.forward.add(self.arrived.elapsed());
-        Ok(())
     }
 
     /// Takes what has come, and what else is there, up to a limit.
-    fn burst(&mut self, first: Arrival, buffer: &mut [u8]) -> Result<()> {
-        self.take_arrival(first, buffer)?;
+    fn burst(&mut self, first: Arrival, buffer: &mut [u8]) {
+        self.take_arrival(first, buffer);
         for _ in 1..BURST {
             let Some(next) = self.links.try_receive(buffer) else { break };
-            self.take_arrival(next, buffer)?;
+            self.take_arrival(next, buffer);
         }
-        Ok(())
     }
 
-    fn take_arrival(&mut self, arrival: Arrival, buffer: &[u8]) -> Result<()> {
+    fn take_arrival(&mut self, arrival: Arrival, buffer: &[u8]) {
         match arrival {
             Arrival::Bytes(from, length) => {
                 let link = self.link_of(from);
-                return self.receive(link, &buffer[..length]);
+                self.receive(link, &buffer[..length]);
             }
             Arrival::Connected(peer) => {
                 self.forget(peer);
@@ -279,7 +339,6 @@ impl Hub {
             }
             Arrival::Closed(peer) => self.forget(peer),
         }
-        Ok(())
     }
 
     /// The link of a peer, which may be new.
@@ -313,7 +372,7 @@ impl Hub {
         self.signed_links.remove(&link);
     }
 
-    fn receive(&mut self, from: LinkId, bytes: &[u8]) -> Result<()> {
+    fn receive(&mut self, from: LinkId, bytes: &[u8]) {
         let (now, time) = (self.elapsed(), SystemTime::now());
         let Self { router, tlog, vehicle_signer, signed_links, .. } = self;
         let mut logged = Ok(());
@@ -332,7 +391,7 @@ impl Hub {
                 logged = tlog.frame(frame, time);
             }
         });
-        logged.context("writing the tlog")
+        self.logged(logged);
     }
 
     async fn flush(&mut self) {

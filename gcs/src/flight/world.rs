@@ -1,0 +1,107 @@
+//! The world of a vehicle, as its own parameters tell it: what a flight is flown in and scored by.
+
+use anyhow::{Context, Result, bail};
+use crpl_sitl::Scenario;
+use crpl_sitl::scenario::presets::PRESETS;
+use crpl_sitl::vehicle::params::{world_of, world_params};
+
+use crate::tools::param::exchange::List;
+use crate::tools::param::value::Encoding;
+use crate::tools::session::Session;
+
+/// How many contradictions an error names.
+const SHOWN: usize = 3;
+
+/// Reads the vehicle's world and gives the scenario to fly: the vehicle's own, under the name of the preset that it
+/// is; or `stated`, which must not contradict it.
+///
+/// # Errors
+/// A contradiction, with both values; a vehicle that does not tell its world; parameters that take effect at its
+/// next boot.
+pub async fn agree(session: &mut Session, stated: Option<Scenario>) -> Result<Scenario> {
+    let (system, _) = session.target();
+    let params = session.run(&mut List::new(session.target(), Encoding::CCast)).await;
+    let params = params.with_context(|| format!("vehicle {system}: reading its world"))?;
+    let told: Vec<(String, f32)> =
+        params.into_iter().map(|param| (param.name, param.value.as_f32())).collect();
+    if told.iter().any(|(name, value)| name == "STAT_NEXT_BOOT" && *value != 0.0) {
+        bail!(
+            "vehicle {system}: parameters were set that take effect at its next boot, so they do not tell the \
+             world that it flies in: restart it"
+        );
+    }
+    match stated {
+        Some(stated) => contradiction(&stated, &told).map_or(Ok(stated), |what| {
+            bail!("vehicle {system} flies in another world than --scenario: {what}")
+        }),
+        None => {
+            let world = world_of(&told).with_context(|| {
+                format!("vehicle {system} does not tell its world: give it by --scenario")
+            })?;
+            let known = PRESETS.iter().filter_map(|preset| Scenario::named(preset.name).ok());
+            let preset = known.into_iter().find(|preset| contradiction(preset, &told).is_none());
+            let scenario = preset.unwrap_or(world);
+            scenario.check().with_context(|| format!("vehicle {system}"))?;
+            tracing::info!("vehicle {system} flies in {:?}", scenario.name);
+            Ok(scenario)
+        }
+    }
+}
+
+/// Where a scenario contradicts what a vehicle tells, in one line. A vehicle may tell less.
+fn contradiction(stated: &Scenario, told: &[(String, f32)]) -> Option<String> {
+    let ours = world_params(stated);
+    let value = |name: &str| told.iter().find(|(known, _)| known == name).map(|(_, value)| *value);
+    let mut found: Vec<String> = ours
+        .iter()
+        .filter_map(|(name, ours)| Some((name, ours, value(name)?)))
+        .filter(|(_, ours, theirs)| (*ours - theirs).abs() > 1e-6 * ours.abs().max(theirs.abs()))
+        .map(|(name, ours, theirs)| format!("{name} = {ours} in the scenario, {theirs} on the vehicle"))
+        .collect();
+    let obstacle = |name: &str| name.starts_with("OBST") && name.ends_with("_RADIUS");
+    let counts = [
+        ours.iter().filter(|(name, _)| obstacle(name)).count(),
+        told.iter().filter(|(name, _)| obstacle(name)).count(),
+    ];
+    if counts[0] != counts[1] && !told.is_empty() {
+        found.insert(0, format!("{} obstacles in the scenario, {} on the vehicle", counts[0], counts[1]));
+    }
+    let more = found.len().saturating_sub(SHOWN);
+    let shown = found.into_iter().take(SHOWN).collect::<Vec<_>>().join("; ");
+    match (shown.is_empty(), more) {
+        (true, _) => None,
+        (false, 0) => Some(shown),
+        (false, more) => Some(format!("{shown}; and {more} more")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(scenario: &Scenario) -> Vec<(String, f32)> {
+        world_params(scenario).into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    #[test]
+    fn every_preset_is_rebuilt_from_its_parameters() {
+        for preset in PRESETS {
+            let scenario = Scenario::named(preset.name).unwrap();
+            let rebuilt = world_of(&told(&scenario)).unwrap();
+            assert_eq!(contradiction(&rebuilt, &told(&scenario)), None, "{}", preset.name);
+            rebuilt.check().unwrap();
+            let back = (rebuilt.radio.b_dt, rebuilt.goal, rebuilt.channel.base_station);
+            assert_eq!(back, (scenario.radio.b_dt, scenario.goal, scenario.channel.base_station));
+        }
+    }
+
+    #[test]
+    fn a_contradiction_names_both_values() {
+        let (one, two) = (Scenario::named("1").unwrap(), Scenario::named("2").unwrap());
+        let what = contradiction(&one, &told(&two)).unwrap();
+        assert_eq!(what, "OBST_N = 150 in the scenario, 225 on the vehicle");
+        let none = Scenario { obstacles: Vec::new(), ..two.clone() };
+        let what = contradiction(&none, &told(&two)).unwrap();
+        assert_eq!(what, "0 obstacles in the scenario, 1 on the vehicle");
+    }
+}
