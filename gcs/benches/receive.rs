@@ -14,6 +14,7 @@ use crpl_gcs::flight::remote::Remote;
 use crpl_gcs::tools::bridge::router::Router;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::MavMessage;
+use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::radio::message::Command;
 use crpl_sitl::units::{Tick, TxPower};
 use crpl_sitl::vehicle::Vehicle;
@@ -27,7 +28,7 @@ fn flight() -> (Vec<Vec<u8>>, u64) {
     let scenario = Scenario::default();
     let station: SocketAddr = ([127, 0, 0, 1], 1).into();
     let mut vehicle = Vehicle::new(Sim::new(scenario.clone(), 3), 1, None);
-    let mut remote = Remote::new(&scenario);
+    let mut remote = Remote::new(&scenario, 1, Encoder::new(255, 190));
     let mut sent = Vec::new();
     vehicle.datagram(&remote.image_request(), station, Duration::ZERO);
     for k in 0..200 {
@@ -77,7 +78,7 @@ fn main() {
         }
     });
     let flown = rate("gcs: datagrams to percepts, pictures decoded", frames, || {
-        let mut remote = Remote::new(&Scenario::default());
+        let mut remote = Remote::new(&Scenario::default(), 1, Encoder::new(255, 190));
         for bytes in &datagrams {
             black_box(remote.datagram(bytes, Duration::ZERO));
         }

@@ -246,9 +246,14 @@ pub fn run_with_cache<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A], cache: 
     Program::spawn(name, command)?.wait()
 }
 
-/// Starts `sitl` on a port of the system's choice and returns it with its address.
+/// Starts `sitl` on a port of the system's choice and returns it with its address. It flies in the paper's
+/// Scenario 2, without gusts, unless `args` name another scenario.
+///
+/// # Errors
+/// It does not start.
 pub fn sitl(args: &[&str]) -> Result<(Program, SocketAddr)> {
-    let args: Vec<&str> = ["--listen", "udpin:127.0.0.1:0"].iter().chain(args).copied().collect();
+    let calm: &[&str] = if args.contains(&"--scenario") { &[] } else { &["--scenario", "2"] };
+    let args: Vec<&str> = ["--listen", "udpin:127.0.0.1:0"].iter().chain(calm).chain(args).copied().collect();
     let program = Program::start("sitl", &args, None)?;
     let address = program.line("listening on udpin:")?;
     let address = address.parse().with_context(|| format!("sitl listens on {address:?}"))?;

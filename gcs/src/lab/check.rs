@@ -30,7 +30,7 @@ use crate::station::pilot::Controller;
 #[command(after_help = presets::table())]
 pub struct Check {
     /// Scenario: TOML file or preset
-    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
     #[command(flatten)]
     models: ModelFiles,

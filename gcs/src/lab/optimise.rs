@@ -31,7 +31,7 @@ use crate::station::models::Models;
 #[command(after_help = presets::table())]
 pub struct Optimise {
     /// Scenario: TOML file or preset
-    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
     /// Parameters of Algorithm 1 that differ from the defaults (TOML)
     #[arg(long, value_name = "FILE")]

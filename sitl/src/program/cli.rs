@@ -34,7 +34,7 @@ pub enum Pace {
 #[command(name = "sitl", version, max_term_width = 100, after_help = presets::table())]
 pub struct Args {
     /// Scenario: TOML file or preset
-    #[arg(long, value_name = "FILE|NAME", default_value = "2")]
+    #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     pub scenario: String,
     /// Listen on udpin:HOST:PORT or tcpin:HOST:PORT (port 0: any free port); repeatable [default:
     /// udpin:127.0.0.1:14550 without --connect]
