@@ -17,6 +17,7 @@ fn config() -> OptimiseConfig {
         stage1_iterations: 4,
         last_iterations: 4,
         averaged_iterations: 2,
+        tolerance: 0.0,
         comparison_rollouts: 64,
         stage2_rollouts: 32,
         stage2_iterations: 5,

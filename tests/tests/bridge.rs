@@ -189,8 +189,10 @@ fn an_operator_watches_a_flight_and_takes_it_over() {
     });
     assert!(flown, "the operator is not heard");
     gcs.interrupt().unwrap();
-    let printed = gcs.wait().unwrap().good().unwrap();
-    assert!(printed.contains("the operator took over after"), "{printed}");
+    let ended = gcs.wait().unwrap();
+    assert_eq!(ended.status.code(), Some(4), "{}", ended.stderr);
+    let printed = ended.stdout;
+    assert!(printed.contains("taken over: the operator has taken over"), "{printed}");
     assert!(printed.contains("1 setpoints of other stations not forwarded"), "{printed}");
     let run = std::fs::read_to_string(folder.path().join("run.json")).unwrap();
     let run: serde_json::Value = serde_json::from_str(&run).unwrap();

@@ -12,7 +12,7 @@ use crpl_gcs::flight::remote::{Remote, RemoteEvent};
 use crpl_gcs::lab;
 use crpl_gcs::lab::run_folder;
 use crpl_gcs::station::Station;
-use crpl_gcs::station::models::Models;
+use crpl_gcs::station::models::{MismatchRule, Models};
 use crpl_gcs::station::pilot::crpl::Crpl;
 use crpl_gcs::station::pilot::{Controller, Pilot};
 use crpl_gcs::station::seen::MotionLimits;
@@ -184,7 +184,8 @@ fn the_shipped_policies_fly_both_scenarios_from_pictures() {
     for number in [1, 2] {
         let mut scenario = scenario();
         scenario.set_number(number).unwrap();
-        let (mut sum, models) = (0.0, models());
+        // The policy of Scenario 1 was made for more bandwidth.
+        let (mut sum, models) = (0.0, Models { mismatch: MismatchRule::Allow, ..models() });
         for seed in 100..130 {
             let mut station = models.station(Controller::Crpl, &scenario).unwrap();
             let mut sim = Sim::new(scenario.clone(), seed);

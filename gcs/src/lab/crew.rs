@@ -7,7 +7,7 @@ use crpl_sitl::program::terminal::ExitWith;
 use crpl_sitl::radio::message::{Command, Percept};
 
 use crate::flight::{Crew, Flight};
-use crate::lab::run_folder::{Ended, RunFolder};
+use crate::lab::run_folder::{FlightEnded, RunFolder};
 use crate::lab::summary::Summary;
 use crate::station::Station;
 use crate::station::pilot::Controller;
@@ -48,7 +48,7 @@ impl LoggedStation {
         if let Some(last) = &flight.last {
             self.station.finish(last);
         }
-        let ended = Ended {
+        let ended = FlightEnded {
             how: flight.ended,
             tick: flight.last.as_ref().map(|last| last.telemetry.tick.0),
             why: flight.why.clone(),

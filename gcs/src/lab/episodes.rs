@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, PolicyOrigin};
 use crate::station::pilot::Controller;
-use crpl_model::numeric::statistics::Mean;
+use crpl_model::numeric::statistics::{Interval, Mean, wilson};
 
 /// Flags of `gcs episodes`.
 #[derive(Debug, clap::Args)]
@@ -49,8 +49,12 @@ pub struct EpisodesRow {
     pub episodes: u64,
     /// First seed.
     pub first_seed: u64,
+    /// How many of them differ from each other in any metric: 1 where nothing is left to chance.
+    pub distinct: u64,
     /// Share of flights that ended in the goal region.
     pub reached: f64,
+    /// Its 95 % Wilson interval; of one flight alone it is [0, 1].
+    pub reached_ci: Interval,
     /// Flights that ended with the UAV's centre within 0.02 of a wall.
     pub at_wall: u64,
     /// Means.
@@ -101,7 +105,18 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
     let mean = |metric: Metric| Mean::of(&flights.iter().map(|f| f[metric]).collect::<Vec<_>>());
     let count = |outcome: FlightOutcome| flights.iter().filter(|f| f.is(outcome)).count() as u64;
     let share = |outcome: FlightOutcome| count(outcome) as f64 / flights.len().max(1) as f64;
+    let mut scores: Vec<Vec<u64>> =
+        flights.iter().map(|f| Metric::ALL.iter().map(|m| f[*m].to_bits()).collect()).collect();
+    scores.sort_unstable();
+    scores.dedup();
+    let distinct = scores.len() as u64;
+    let reached_ci = match distinct {
+        1 => [0.0, 1.0],
+        _ => wilson(count(FlightOutcome::Reached) as usize, flights.len()),
+    };
     EpisodesRow {
+        distinct,
+        reached_ci,
         controller,
         scenario: scenario.name.clone(),
         episodes: flights.len() as u64,
@@ -114,16 +129,42 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
     }
 }
 
+/// A mean with its interval; where all of several flights have the same value, that is said in its place.
+fn cell(mean: &Mean, distinct: u64) -> String {
+    match (mean.is_constant(), distinct) {
+        (_, 1) => format!("{:.4}", mean.mean),
+        (true, _) => format!("{:.4} in every flight", mean.mean),
+        (false, _) => format!("{:.4} [{:.4}, {:.4}]", mean.mean, mean.ci[0], mean.ci[1]),
+    }
+}
+
 fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    let cell = |m: &Mean| format!("{:.4} [{:.4}, {:.4}]", m.mean, m.ci[0], m.ci[1]);
     println!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed);
-    println!("  reached {:.3}, at a wall {}, below the obstacle {:.3}", row.reached, row.at_wall, row.below);
+    let of_all = |share: f64| format!("{:.0} of {}", share * row.episodes as f64, row.episodes);
+    if row.distinct == 1 && row.episodes > 1 {
+        println!(
+            "  all {} flights are the same flight, as nothing in them is left to chance: no intervals",
+            row.episodes
+        );
+    }
+    let ci = match row.distinct {
+        1 => String::new(),
+        _ => format!(" [{:.3}, {:.3}]", row.reached_ci[0], row.reached_ci[1]),
+    };
+    println!(
+        "  reached {:.3}{ci} ({}), at a wall {}, below the obstacle {:.3} ({})",
+        row.reached,
+        of_all(row.reached),
+        row.at_wall,
+        row.below,
+        of_all(row.below)
+    );
     for (metric, mean) in row.metrics.iter() {
-        println!("  {:<8}{}", metric.symbol(), cell(mean));
+        println!("  {:<14}{}", metric.symbol(), cell(mean, row.distinct));
     }
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
         let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };

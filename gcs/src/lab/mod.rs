@@ -1,5 +1,6 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
+pub mod attempts;
 pub mod check;
 pub mod crew;
 pub mod demo;

@@ -5,24 +5,22 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
-    self, Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, PassingSide, optimise,
+    self, Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, PassingSide,
 };
 use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::{ObjectiveEstimate, RolloutLimits};
 use crpl_model::planning::policy::Policies;
-use crpl_model::planning::problem::PlanningProblem;
-use crpl_model::planning::scope::PolicyScope;
 use crpl_model::world_model::{StationHeads, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
-use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::presets;
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
-use crate::lab::check::{self, ConstraintCheck, one_obstacle};
+use crate::lab::attempts::{AttemptWatch, Optimised, Quiet, optimise_for};
+use crate::lab::check::{ConstraintCheck, one_obstacle};
 use crate::lab::random;
 use crate::station::models::Models;
 
@@ -69,80 +67,6 @@ struct Saved {
     /// The attempt under way, from 0.
     attempt: usize,
     progress: Option<OptimiseProgress>,
-}
-
-/// What [`optimise_for`] made.
-#[derive(Debug, Clone)]
-pub struct Optimised {
-    /// The pair, with its scope.
-    pub policies: Policies,
-    /// What Algorithm 1 says of it.
-    pub outcome: OptimiseOutcome,
-    /// The chance constraints as closed-loop flights measure them.
-    pub flown: ConstraintCheck,
-    /// Attempts that it took.
-    pub attempts: usize,
-    /// Time that it took, s.
-    pub wall_s: f64,
-}
-
-/// What sees the attempts and their iterations.
-pub trait AttemptWatch: OptimiseWatch {
-    /// What may stop it.
-    fn stop(&self) -> Option<&StopSignal> {
-        None
-    }
-
-    /// Attempt `n` begins, from 0.
-    fn attempt(&mut self, n: usize, config: &OptimiseConfig);
-    /// Its policies have been checked.
-    fn flown(&mut self, check: &ConstraintCheck);
-}
-
-/// Algorithm 1 for a scenario and the closed-loop check of what it found, with tighter constraints at each
-/// attempt until a pair passes; nothing is written. `begun` is the attempt that was under way, and its progress.
-///
-/// # Errors
-/// A scenario that Algorithm 1 cannot plan for. A result that breaks a constraint is no error here: see
-/// [`ConstraintCheck::verdict`].
-pub fn optimise_for(
-    world: &Arc<WorldModel>,
-    scenario: &Scenario,
-    config: &OptimiseConfig,
-    seed: u64,
-    begun: (usize, Option<OptimiseProgress>),
-    watch: &mut impl AttemptWatch,
-) -> Result<Optimised> {
-    config.check()?;
-    one_obstacle(scenario)?;
-    let stopwatch = Stopwatch::default();
-    let problem = PlanningProblem::of(world, scenario, config, seed)?;
-    let (first, mut progress) = begun;
-    let mut best: Option<Optimised> = None;
-    for n in first..config.attempts.max(first + 1) {
-        let config = config.attempt(n);
-        watch.attempt(n, &config);
-        let (mut policies, outcome) = match optimise(&problem, &config, seed, progress.take(), watch) {
-            Err(error) => match watch.stop().and_then(StopSignal::get) {
-                Some(signal) => bail!(signal.exit(&error.to_string())),
-                None => return Err(error.into()),
-            },
-            Ok(found) => found,
-        };
-        let flown = check::after(&config, world, &policies, scenario, watch.stop())?;
-        watch.flown(&flown);
-        policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
-        let made = Optimised { policies, outcome, flown, attempts: n + 1, wall_s: stopwatch.seconds().0 };
-        let holds = flown.holds();
-        if best.as_ref().is_none_or(|best| best.flown.least() <= flown.least()) {
-            best = Some(made);
-        }
-        if holds {
-            break;
-        }
-    }
-    let best = best.context("no attempt was made")?;
-    Ok(Optimised { wall_s: stopwatch.seconds().0, ..best })
 }
 
 /// What stands beside the policies.
@@ -270,22 +194,6 @@ fn compare_limits(
         }
     }
     Ok(())
-}
-
-/// Shows nothing and saves nothing.
-pub struct Quiet;
-
-impl AttemptWatch for Quiet {
-    fn attempt(&mut self, _: usize, _: &OptimiseConfig) {}
-    fn flown(&mut self, _: &ConstraintCheck) {}
-}
-
-impl OptimiseWatch for Quiet {
-    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &ObjectiveEstimate, _: f64) {}
-    fn phase_done(&mut self, _: &str, _: &OptimiseProgress) -> Result<(), OptimiseError> {
-        Ok(())
-    }
-    fn compared(&mut self, _: &Comparison) {}
 }
 
 /// The progress of the same run, `None` if there is none; one of another run is an error.

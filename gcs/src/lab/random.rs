@@ -19,8 +19,8 @@ use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use serde::Serialize;
 
+use crate::lab::attempts::{Quiet, optimise_for};
 use crate::lab::check::ConstraintCheck;
-use crate::lab::optimise::{Quiet, optimise_for};
 
 /// Start, goal and base station lie in this range of each axis.
 const PLACE: [f64; 2] = [0.08, 0.92];
@@ -265,7 +265,7 @@ mod tests {
             assert!(solvable(&Scenario::numbered(number).unwrap()));
         }
         let mut far = Scenario::default();
-        far.channel.noise_power = 10.0;
+        far.channel.noise_power = 40.0;
         assert!(!solvable(&far));
         let slow = Scenario { horizon: 20, ..Scenario::default() };
         assert!(!solvable(&slow), "0.8 units at 0.04 an interval take more than 20 intervals with the start");

@@ -25,7 +25,7 @@ use crate::station::pilot::Controller;
 
 /// How and when a flight has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Ended {
+pub struct FlightEnded {
     /// How.
     pub how: FlightEnd,
     /// Tick of the last percept.
@@ -47,7 +47,7 @@ pub struct RunManifest {
     /// Where the controller's policies come from, and where the scenario leaves their world.
     policy: Option<PolicyOrigin>,
     /// `None` while it flies.
-    ended: Option<Ended>,
+    ended: Option<FlightEnded>,
     /// `None` if no interval was flown.
     summary: Option<Summary>,
 }
@@ -161,7 +161,12 @@ impl RunFolder {
     }
 
     /// Writes the plot and the end. What could not be written since the beginning, in one line.
-    pub fn finish(mut self, ended: Ended, summary: Option<Summary>, records: &[Record]) -> Option<String> {
+    pub fn finish(
+        mut self,
+        ended: FlightEnded,
+        summary: Option<Summary>,
+        records: &[Record],
+    ) -> Option<String> {
         self.record(records);
         if let Some(summary) = &summary {
             let d_f = summary.score[Metric::TerminalDistance];

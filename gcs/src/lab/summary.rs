@@ -7,7 +7,7 @@ use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use serde::Serialize;
 
 use crate::flight::{Flight, FlightEnd};
-use crate::lab::run_folder::Ended;
+use crate::lab::run_folder::FlightEnded;
 use crate::station::Station;
 use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
@@ -35,7 +35,7 @@ pub struct Summary {
     /// Frames that the link has lost, by their sequence numbers.
     pub frames_lost: u64,
     /// How the flight has ended.
-    pub ended: Ended,
+    pub ended: FlightEnded,
     /// Whether the flight ended because the operator took the vehicle over.
     pub taken_over: bool,
     /// Whether the flight ended because the vehicle collided and fell.
@@ -63,7 +63,7 @@ impl Summary {
         seed: Option<u64>,
         station: &Station,
         flight: &Flight,
-        ended: Ended,
+        ended: FlightEnded,
     ) -> Option<Self> {
         let scenario = station.scenario();
         let score = station.score()?;

@@ -1,5 +1,5 @@
-//! Quantiles, means and 95 % intervals: normal for means, Wilson's for shares, order statistics for
-//! quantiles, the bootstrap for the rest.
+//! Quantiles, means and 95 % intervals: Wilson's for shares, order statistics for quantiles, the bootstrap for
+//! means and the rest. No interval leaves the range of its values.
 //!
 //! Knows no files. Where chance has no generator as its argument it comes from a fixed seed, so equal
 //! values give equal intervals.
@@ -52,15 +52,12 @@ pub fn bootstrap(n: usize, rng: &mut impl Rng, statistic: impl Fn(&[usize]) -> f
 /// Bootstrap resamples of a ratio.
 pub const RESAMPLES: usize = 2000;
 
-/// z of a normal 95 % interval, as the sweeps' tables round it.
-const Z95: f64 = 1.96;
-
 /// A mean over episodes with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Mean {
     /// Mean.
     pub mean: f64,
-    /// 95 % interval of the mean: normal for a mean, bootstrap percentiles for a ratio of means.
+    /// 95 % interval of the mean, or of the ratio of means: bootstrap percentiles.
     pub ci: [f64; 2],
     /// Standard deviation of the values (of the resampled ratios, for a ratio).
     #[serde(skip)]
@@ -68,12 +65,16 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Of these values; an interval of zero width for one value.
+    /// Of these values. Where all are equal, the interval has no width and says nothing of other episodes.
     #[must_use]
     pub fn of(values: &[f64]) -> Self {
-        let (mean, sd) = mean_and_sd(values);
-        let half = Z95 * sd / (values.len().max(1) as f64).sqrt();
-        Self { mean, ci: [mean - half, mean + half], sd }
+        Resamples::of(values.len()).mean(values)
+    }
+
+    /// Whether all values were equal.
+    #[must_use]
+    pub fn is_constant(&self) -> bool {
+        self.sd == 0.0
     }
 
     /// Half the width of the interval.
@@ -105,6 +106,20 @@ impl Resamples {
         let most = u32::try_from(episodes).unwrap_or(u32::MAX);
         let number = if most == 0 { 0 } else { RESAMPLES * episodes };
         Self { picks: (0..number).map(|_| rng.random_range(0..most)).collect(), episodes }
+    }
+
+    /// The mean of these values with the 2.5th and 97.5th percentile of the resampled means; of another number
+    /// of values than the resamples have, without an interval.
+    #[must_use]
+    pub fn mean(&self, values: &[f64]) -> Mean {
+        let (mean, sd) = mean_and_sd(values);
+        if values.len() != self.episodes || sd == 0.0 {
+            return Mean { mean, ci: [mean, mean], sd };
+        }
+        let n = self.episodes as f64;
+        let sum = |picks: &[u32]| picks.iter().map(|i| values[*i as usize]).sum::<f64>();
+        let means: Vec<f64> = self.picks.chunks_exact(self.episodes).map(|picks| sum(picks) / n).collect();
+        Mean { mean, ci: [quantile(&means, 0.025), quantile(&means, 0.975)], sd }
     }
 
     /// mean(a) / max(mean(b), floor) with the 2.5th and 97.5th percentile of the resampled ratios.
@@ -163,7 +178,8 @@ mod tests {
     fn an_interval_shrinks_with_the_root_of_the_number() {
         let few: Vec<f64> = (0..100).map(|k| f64::from(k % 2)).collect();
         let many: Vec<f64> = (0..10_000).map(|k| f64::from(k % 2)).collect();
-        assert!((Mean::of(&few).half_width() / Mean::of(&many).half_width() - 10.0).abs() < 0.1);
+        let shrunk = Mean::of(&few).half_width() / Mean::of(&many).half_width();
+        assert!((shrunk - 10.0).abs() < 1.0, "{shrunk}");
         assert_eq!(Mean::of(&[3.0]), Mean { mean: 3.0, ci: [3.0, 3.0], sd: 0.0 });
     }
 
@@ -183,10 +199,27 @@ mod tests {
 
     #[test]
     fn a_bootstrap_interval_covers_as_the_normal_one_does() {
-        // Against a constant the ratio is the mean itself, whose interval is known.
         let a: Vec<f64> = (0..400).map(|k| f64::from((k * 7919) % 401)).collect();
-        let (normal, ratio) = (Mean::of(&a), Resamples::of(400).ratio(&a, &[1.0; 400], 0.0).unwrap());
-        assert!((ratio.half_width() / normal.half_width() - 1.0).abs() < 0.08, "{ratio:?} {normal:?}");
+        let (mean, ratio) = (Mean::of(&a), Resamples::of(400).ratio(&a, &[1.0; 400], 0.0).unwrap());
+        // Against a constant the ratio is the mean itself.
+        assert_eq!(mean.ci, ratio.ci);
+        let normal = Z * mean.sd / 20.0;
+        assert!((mean.half_width() / normal - 1.0).abs() < 0.08, "{mean:?} {normal}");
+    }
+
+    /// N7: an interval of outages that reached below 0.
+    #[test]
+    fn no_interval_leaves_the_range_of_its_values() {
+        let mut rng = Noise::new(9).generator(Stream::Evaluation, 1);
+        for n in 1..60 {
+            let values: Vec<f64> = (0..n).map(|_| f64::from(rng.random_range(0..5_u8) / 4)).collect();
+            let Mean { mean, ci: [low, high], .. } = Mean::of(&values);
+            assert!(
+                (0.0..=mean).contains(&low) && (mean..=1.0).contains(&high),
+                "{low} {mean} {high}: {values:?}"
+            );
+        }
+        assert!(Mean::of(&[0.0; 8]).is_constant());
     }
 
     #[test]

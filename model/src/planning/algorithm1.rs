@@ -238,9 +238,10 @@ impl Windows {
         let mean = self.j.iter().sum::<f64>() / n;
         let variance = self.j.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0) / n;
         self.j.clear();
-        let over = self.before.is_some_and(|(before, its)| {
-            before - mean < (self.tolerance * before.abs()).max((variance + its).sqrt())
-        });
+        let over = self.tolerance > 0.0
+            && self.before.is_some_and(|(before, its)| {
+                before - mean < (self.tolerance * before.abs()).max((variance + its).sqrt())
+            });
         self.before = Some((mean, variance));
         over
     }

@@ -47,7 +47,8 @@ pub struct OptimiseConfig {
     /// the last iterate alone carries the noise of one batch, and windows are compared to end a phase.
     pub averaged_iterations: usize,
     /// A phase ends when a window's mean J is lower than that of the window before by less than this share of
-    /// it, or by less than the standard error of the difference. The numbers of iterations are caps.
+    /// it, or by less than the standard error of the difference. The numbers of iterations are caps. At 0 all
+    /// iterations are made.
     pub tolerance: f64,
     /// μ, factor from one η to the next, above 1 (Algorithm 1, line 15).
     pub barrier_growth: f64,

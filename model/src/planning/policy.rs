@@ -17,7 +17,7 @@ use crate::numeric::kernel;
 use crate::numeric::mlp::{Dense, Mlp};
 use crate::planning::scope::PolicyScope;
 
-/// Key of [`About`] in a policy file's metadata, as JSON.
+/// Key of [`PolicyAbout`] in a policy file's metadata, as JSON.
 const ABOUT: &str = "policy";
 
 /// Key of the world model's fingerprint in files that say nothing else.
@@ -25,7 +25,7 @@ const WORLD: &str = "world_model";
 
 /// What a policy file says of itself.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct About {
+struct PolicyAbout {
     /// Fingerprint of the world model.
     world_model: String,
     /// The world that the policies were optimised for.
@@ -198,7 +198,7 @@ impl Policies {
             .collect::<Result<Vec<_>, _>>()
             .map_err(|e| e.to_string())?;
         // One key, so that equal policies are equal bytes: a map of several has no order.
-        let about = About { world_model: self.world.clone(), scope: self.scope.clone() };
+        let about = PolicyAbout { world_model: self.world.clone(), scope: self.scope.clone() };
         let about = serde_json::to_string(&about).map_err(|e| e.to_string())?;
         let metadata = HashMap::from([(ABOUT.to_owned(), about)]);
         safetensors::serialize(views, Some(metadata)).map_err(|e| e.to_string())
@@ -249,7 +249,7 @@ impl Policies {
         let metadata = |key: &str| header.metadata().as_ref().and_then(|m| m.get(key));
         let about = match (metadata(ABOUT), metadata(WORLD)) {
             (Some(text), _) => serde_json::from_str(text).map_err(|e| format!("metadata `{ABOUT}`: {e}"))?,
-            (None, world) => About { world_model: world.cloned().unwrap_or_default(), scope: None },
+            (None, world) => PolicyAbout { world_model: world.cloned().unwrap_or_default(), scope: None },
         };
         Ok(Self {
             motion: net("motion", &MOTION_WIDTHS)?,

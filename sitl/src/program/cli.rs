@@ -260,11 +260,11 @@ mod tests {
     }
 
     #[test]
-    fn the_defaults_fly_scenario_2_in_real_time() {
+    fn the_defaults_fly_the_demo_s_scenario_in_real_time() {
         let args = parse(&[]).unwrap();
         assert_eq!(args.endpoints()[0].to_string(), "udpin:127.0.0.1:14550");
         assert_eq!(args.pace, Pace::Realtime);
-        assert_eq!(Scenario::named(&args.scenario).unwrap(), Scenario::default());
+        assert_eq!(args.scenario, "demo");
     }
 
     #[test]

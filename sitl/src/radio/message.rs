@@ -8,8 +8,8 @@ use std::sync::Arc;
 use crate::camera::Frame;
 use crate::scenario::Scenario;
 use crate::units::{Scale, Tick, TxPower};
+use crate::world::contact::Contact;
 use crate::world::obstacles::{Obstacles, PerObstacle};
-use crate::world::safety::Contact;
 
 /// What the station asks of the vehicle and of its own transmitter for one control interval.
 #[derive(Debug, Clone, Copy, PartialEq)]

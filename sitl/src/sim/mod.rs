@@ -17,9 +17,9 @@ use crate::radio::{Fates, Gate};
 use crate::scenario::{CollisionAction, Scenario};
 use crate::units::{Tick, TxPower};
 use crate::world::World;
+use crate::world::contact::Contact;
 use crate::world::dynamics::State;
 use crate::world::noise::{Noise, Stream};
-use crate::world::safety::Contact;
 
 /// Who flies the UAV in an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

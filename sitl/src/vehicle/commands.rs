@@ -40,6 +40,13 @@ impl Vehicle {
         if let Some((target, setpoint)) = wire::setpoint_of(packet) {
             if target.is(self.system, AUTOPILOT) {
                 self.loss_of_link.arrived();
+                let commander = (from, asker);
+                if self.commander.replace(commander).is_some_and(|before| before != commander) && !self.over()
+                {
+                    let (system, component) = asker;
+                    let text = format!("setpoints from another peer, {system}/{component}");
+                    self.say("commander", MavSeverity::MAV_SEVERITY_WARNING, &text, now);
+                }
                 self.setpoint(setpoint, now);
             }
         } else if let Some(ask) = wire::ask_of(packet) {

@@ -61,7 +61,7 @@ use crate::link::{AUTOPILOT, PeerId, RADIO};
 use crate::scenario::Scenario;
 use crate::sim::Sim;
 use crate::units::Tick;
-use crate::world::safety::Contact;
+use crate::world::contact::Contact;
 use battery::Battery;
 use failsafe::LossOfLink;
 use height::Height;
@@ -109,6 +109,8 @@ pub struct Vehicle {
     png: Option<Vec<u8>>,
     /// How often this tick's percept has been sent to all.
     sendings: usize,
+    /// Who sent the newest setpoint: its peer, system and component.
+    commander: Option<(PeerId, (u8, u8))>,
     begun: bool,
     ready: bool,
     acknowledged: bool,
@@ -271,6 +273,7 @@ impl Vehicle {
             advanced: Duration::ZERO,
             png: None,
             sendings: 0,
+            commander: None,
             begun: false,
             ready: false,
             acknowledged: false,

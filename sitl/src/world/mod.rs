@@ -3,6 +3,7 @@
 //! Knows the physics of the paper's Sec. IV-A and nothing of packets, controllers or protocols.
 
 pub mod channel;
+pub mod contact;
 pub mod dynamics;
 pub mod energy;
 pub mod obstacles;

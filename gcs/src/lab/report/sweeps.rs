@@ -218,10 +218,11 @@ impl Finished {
         let start = |row: &TableRow| vec![row.x.to_string(), row.controller.to_string()];
         let means = self.rows.iter().map(|row| {
             let cells = Metric::ALL.map(|m| table::mean_cell(m, &row.means[m]));
-            let shares = table::SHOWN.map(|outcome| format!("{:.3}", row.share(outcome)));
+            let count = |outcome| (row.share(outcome) * row.episodes as f64).round();
+            let shares = table::SHOWN.map(|outcome| format!("{} of {}", count(outcome), row.episodes));
             start(row).into_iter().chain(cells).chain(shares).collect::<Vec<_>>()
         });
-        page.text("Mean ± half of its 95 % interval (standard deviation of a flight); share that reached the goal, and that passed below the obstacle.");
+        page.text("Mean with its 95 % bootstrap interval; of all flights, how many reached the goal, and how many passed below the obstacle.");
         let shares = table::SHOWN.map(|outcome| outcome.key().to_owned());
         let wide: Vec<String> = head(&mut Metric::ALL.into_iter()).into_iter().chain(shares).collect();
         page.table(&wide, &means.collect::<Vec<_>>());

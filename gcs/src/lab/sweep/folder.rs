@@ -194,13 +194,13 @@ impl Folder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::sweep::plan::{Overrides, SweepFile, Trained};
+    use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels};
 
     #[test]
     fn a_sweep_goes_on_at_another_revision_of_the_same_code_only() {
         let file = "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5]\ncontrollers = [\"rcc\"]\n";
         let file = SweepFile::parse(file).unwrap();
-        let plan = file.resolve(&Overrides::default(), |_| Ok(Trained::default())).unwrap();
+        let plan = file.resolve(&Overrides::default(), |_| Ok(SweepModels::default())).unwrap();
         let dir = tempfile::tempdir().unwrap();
         let begin = |plan: &SweepPlan| Folder::begin(dir.path(), plan.clone(), Shard::WHOLE);
         begin(&plan).unwrap();

@@ -38,7 +38,7 @@ use crate::station::pilot::Controller;
 use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
-use plan::{Overrides, Shard, SweepFile, SweepPlan, SweepPolicies, Trained, UncoveredPoint};
+use plan::{Overrides, Shard, SweepFile, SweepModels, SweepPlan, SweepPolicies, UncoveredPoint};
 use table::TableRow;
 
 /// Flags of `gcs sweep`.
@@ -132,7 +132,7 @@ pub fn resolve(file: SweepFile, flags: &Overrides, models: &mut Models) -> Resul
             }
         }
         let policy = fingerprint(all.as_bytes());
-        Ok(Trained { world_model: checkpoint::fingerprint(&models.world)?, policy, uncovered })
+        Ok(SweepModels { world_model: checkpoint::fingerprint(&models.world)?, policy, uncovered })
     })
 }
 

@@ -68,7 +68,7 @@ pub struct UncoveredPoint {
 
 /// What flies a plan: fingerprints, and the points that the policies do not cover.
 #[derive(Debug, Clone, Default)]
-pub struct Trained {
+pub struct SweepModels {
     /// Fingerprint of the world model.
     pub world_model: String,
     /// Fingerprint of the policies of all points.
@@ -153,7 +153,7 @@ impl SweepFile {
     pub fn resolve(
         self,
         flags: &Overrides,
-        trained: impl FnOnce(&SweepPlan) -> Result<Trained>,
+        trained: impl FnOnce(&SweepPlan) -> Result<SweepModels>,
     ) -> Result<SweepPlan> {
         let scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
         let mut plan = SweepPlan {
@@ -171,7 +171,7 @@ impl SweepFile {
             scenario,
         };
         plan.check()?;
-        let Trained { world_model, policy, uncovered } = trained(&plan)?;
+        let SweepModels { world_model, policy, uncovered } = trained(&plan)?;
         (plan.world_model, plan.policy, plan.uncovered) = (world_model, policy, uncovered);
         Ok(plan)
     }
@@ -320,7 +320,7 @@ mod tests {
         "name = \"small\"\naxis = \"radio.b_dt\"\npoints = [2.5, 4.0]\ncontrollers = [\"rcc\"]\n";
 
     fn plan(text: &str) -> Result<SweepPlan> {
-        SweepFile::parse(text)?.resolve(&Overrides::default(), |_| Ok(Trained::default()))
+        SweepFile::parse(text)?.resolve(&Overrides::default(), |_| Ok(SweepModels::default()))
     }
 
     fn error(text: &str) -> String {

@@ -126,11 +126,15 @@ pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
     text
 }
 
-/// Mean ± half of its interval (standard deviation), with the decimals that are worth printing.
+/// Mean with its interval, or `= all` where every flight has the same value, with the decimals that are worth
+/// printing.
 #[must_use]
 pub fn mean_cell(metric: Metric, mean: &Mean) -> String {
     let d = metric.decimals();
-    format!("{:.d$} ±{:.d$} ({:.d$})", mean.mean, mean.half_width(), mean.sd)
+    if mean.is_constant() {
+        return format!("{:.d$} = all", mean.mean);
+    }
+    format!("{:.d$} [{:.d$}, {:.d$}]", mean.mean, mean.ci[0], mean.ci[1])
 }
 
 /// Width of the column of [`mean_cell`].
@@ -144,12 +148,11 @@ pub fn ratio_cell(ratio: &Mean) -> String {
     format!("{:.2} [{:.2}, {:.2}]", ratio.mean, ratio.ci[0], ratio.ci[1])
 }
 
-/// The rows as two tables for people: means with the half width of their 95 % interval and the
-/// standard deviation of a flight; ratios to CRPL with their 95 % interval.
+/// The rows as two tables for people: means with their 95 % interval and counts of outcomes; ratios to CRPL with their 95 % interval.
 #[must_use]
 pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let mut out = format!(
-        "{}: {} over {} flights a row from seed {}; mean ± half of the 95 % interval (standard deviation)\n",
+        "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval]; reached and below: of all flights\n",
         plan.name,
         plan.axis,
         rows.first().map_or(0, |r| r.episodes),
@@ -172,8 +175,8 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         for (m, mean) in row.means.iter() {
             let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
-        let [reached, below] = SHOWN.map(|outcome| row.share(outcome));
-        let _ = writeln!(out, "{reached:>10.3}{below:>8.3}");
+        let [reached, below] = SHOWN.map(|outcome| (row.share(outcome) * row.episodes as f64).round());
+        let _ = writeln!(out, "{reached:>10}{below:>8}");
     }
     let others = || rows.iter().filter(|r| r.controller != Controller::Crpl && r.ratio_to_crpl.is_some());
     if others().next().is_some() {

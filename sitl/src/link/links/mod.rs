@@ -137,14 +137,14 @@ pub struct LinkCounters {
 #[derive(Debug)]
 pub struct Links {
     options: LinkOptions,
-    entries: Vec<Entry>,
+    entries: Vec<LinkEntry>,
     /// Where the next look begins, so that no endpoint starves another.
     turn: usize,
 }
 
 /// An endpoint and its sockets.
 #[derive(Debug)]
-struct Entry {
+struct LinkEntry {
     name: String,
     /// What it does, for a person.
     told: String,
@@ -228,7 +228,7 @@ impl Links {
             None => (format!("udpin:{local}"), format!("listening on udpin:{local}")),
             Some(peer) => (format!("udpout:{peer}"), format!("sending to udpout:{peer} from {local}")),
         };
-        let entry = Entry { name, told, many: peer.is_none(), port, counters: LinkCounters::default() };
+        let entry = LinkEntry { name, told, many: peer.is_none(), port, counters: LinkCounters::default() };
         Self { options, entries: vec![entry], turn: 0 }
     }
 
@@ -255,7 +255,7 @@ impl Links {
             Endpoint::TcpOut(_) => (endpoint.to_string(), format!("connected to {endpoint}")),
         };
         let many = matches!(endpoint, Endpoint::UdpIn(_) | Endpoint::TcpIn(_));
-        self.entries.push(Entry { name, told, many, port, counters: LinkCounters::default() });
+        self.entries.push(LinkEntry { name, told, many, port, counters: LinkCounters::default() });
         Ok(self.entries.len() - 1)
     }
 
@@ -356,7 +356,7 @@ impl Links {
     /// A peer that has gone away or does not read, or a refusal of the system. None is a reason to stop,
     /// and the endpoint has counted it.
     pub fn send(&mut self, to: PeerId, bytes: &[u8]) -> Result<(), SendError> {
-        let Some(Entry { port, counters, .. }) = self.entries.get_mut(to.endpoint) else {
+        let Some(LinkEntry { port, counters, .. }) = self.entries.get_mut(to.endpoint) else {
             return Err(SendError::Gone);
         };
         let sent = port.send(to.address, bytes);
@@ -401,7 +401,7 @@ impl Links {
         streams: bool,
     ) -> Poll<()> {
         let mut waits = false;
-        for (endpoint, Entry { port, counters, .. }) in self.entries.iter_mut().enumerate() {
+        for (endpoint, LinkEntry { port, counters, .. }) in self.entries.iter_mut().enumerate() {
             if port.is_stream() && !streams {
                 continue;
             }

@@ -1,0 +1,251 @@
+//! What ends a flight, or marks it: it is said, written down, and told by the exit code.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![expect(clippy::disallowed_methods, reason = "it waits for real programs, and not for ever")]
+
+use std::net::{SocketAddr, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use crpl_sitl::Scenario;
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::wire::{self, Clock};
+use crpl_sitl::units::Tick;
+use serde_json::Value;
+use tests::program::{self, Finished, Program};
+
+/// A vehicle in real time, five times as fast as the clock: an interval takes 80 ms.
+fn slow_vehicle(listen: &str) -> (Program, SocketAddr) {
+    let args = ["--listen", listen, "--scenario", "2", "--pace", "realtime", "--speed", "5"];
+    let sitl = Program::start("sitl", &args, None).unwrap();
+    let address = sitl.line("listening on udpin:").unwrap().parse().unwrap();
+    (sitl, address)
+}
+
+/// `gcs fly` with RCC, which needs no policy, until so many intervals are on the disk.
+fn flying(address: SocketAddr, out: &Path, intervals: usize) -> Program {
+    let connect = format!("udpout:{address}");
+    let args = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
+    let gcs = Program::start("gcs", &args, None).unwrap();
+    let deadline = Instant::now() + program::PATIENCE;
+    while lines(out) < intervals {
+        assert!(Instant::now() < deadline, "{}", gcs.so_far());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    gcs
+}
+
+fn lines(out: &Path) -> usize {
+    std::fs::read_to_string(out.join("record.jsonl")).map_or(0, |text| text.lines().count())
+}
+
+fn manifest(out: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(out.join("run.json")).unwrap()).unwrap()
+}
+
+/// The end of a flight that did not go to its last tick: the code, `run.json` and the table say so, and all
+/// intervals that were flown are there.
+fn assert_ended(finished: &Finished, code: i32, how: &str, out: &Path) {
+    assert_eq!(finished.status.code(), Some(code), "{}\n{}", finished.stdout, finished.stderr);
+    let run = manifest(out);
+    assert_eq!(run["ended"]["how"], how, "{run}");
+    assert!(!run["ended"]["why"].as_str().unwrap().is_empty(), "{run}");
+    let flown = lines(out);
+    assert!((5..100).contains(&flown), "{flown} intervals");
+    assert_eq!(run["summary"]["ticks"], flown, "{run}");
+    let said = format!("rcc: ended after {flown} intervals, {how}: ");
+    assert!(finished.stdout.contains(&said), "{}", finished.stdout);
+    for line in std::fs::read_to_string(out.join("record.jsonl")).unwrap().lines() {
+        let record: Value = serde_json::from_str(line).unwrap();
+        let place = |key: &str| [0, 1].map(|axis| record[key][axis].as_f64().unwrap());
+        let [from, to] = [place("r"), place("r_next")];
+        let moved = (from[0] - to[0]).hypot(from[1] - to[1]);
+        assert!(moved < 0.05, "a record that teleports: {line}");
+    }
+}
+
+#[test]
+fn gcs_fly_ends_when_the_vehicle_reboots() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let (first, address) = slow_vehicle("udpin:127.0.0.1:0");
+    let gcs = flying(address, &out, 8);
+    drop(first);
+    let (_second, _) = slow_vehicle(&format!("udpin:{address}"));
+    let finished = gcs.wait().unwrap();
+    assert_ended(&finished, 5, "rebooted", &out);
+    assert!(finished.stderr.contains("its time went back from tick"), "{}", finished.stderr);
+}
+
+#[test]
+fn gcs_fly_ends_when_another_station_s_setpoint_is_flown() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let (sitl, address) = slow_vehicle("udpin:127.0.0.1:0");
+    let gcs = flying(address, &out, 8);
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let clock = Clock::new(&Scenario::default());
+    let mut station = Encoder::new(254, 190);
+    for tick in 8..100 {
+        let mut datagram = Vec::new();
+        wire::push_setpoint(Tick(tick), [1.25, -2.5], &clock, 1, &mut station, &mut datagram);
+        socket.send_to(&datagram, address).unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert_ended(&gcs.wait().unwrap(), 6, "foreign setpoint", &out);
+    let said = sitl.so_far();
+    assert!(said.contains("setpoints from another peer"), "{said}");
+}
+
+#[test]
+fn gcs_fly_writes_what_was_flown_on_sigint_sigterm_and_sighup() {
+    for (signal, code) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("flight");
+        let (sitl, address) = slow_vehicle("udpin:127.0.0.1:0");
+        let gcs = flying(address, &out, 6);
+        assert_eq!(manifest(&out)["ended"], Value::Null, "it flies");
+        gcs.signal(signal).unwrap();
+        assert_ended(&gcs.wait().unwrap(), code, "interrupted", &out);
+        sitl.logs("BRAKE").unwrap();
+    }
+}
+
+#[test]
+fn gcs_fly_ends_when_an_operator_changes_the_mode() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let (_sitl, address) = slow_vehicle("udpin:127.0.0.1:0");
+    let gcs = flying(address, &out, 6);
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut datagram = Vec::new();
+    let command = crpl_sitl::link::dialect::COMMAND_LONG_DATA {
+        target_system: 1,
+        target_component: 1,
+        command: crpl_sitl::link::dialect::MavCmd::MAV_CMD_NAV_RETURN_TO_LAUNCH,
+        ..Default::default()
+    };
+    Encoder::new(254, 190).push(&mut datagram, &command);
+    socket.send_to(&datagram, address).unwrap();
+    assert_ended(&gcs.wait().unwrap(), 4, "taken over", &out);
+}
+
+/// N10: the flight goes on to its last tick, and the program says that its files are not whole.
+#[test]
+fn gcs_fly_on_a_full_disk_flies_to_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let (_sitl, address) = program::sitl(&["--pace", "lockstep", "--ticks", "100"]).unwrap();
+    let gcs = program::path("gcs").unwrap();
+    let mut command = Command::new("bash");
+    let script = "trap '' XFSZ; ulimit -f 16; exec \"$@\"";
+    command.args(["-c", script, "bash"]).arg(gcs);
+    command
+        .args(["fly", "--controller", "rcc", "--connect", &format!("udpout:{address}"), "--out"])
+        .arg(&out);
+    let finished = Program::spawn("gcs", command).unwrap().wait().unwrap();
+    assert_eq!(finished.status.code(), Some(7), "{}\n{}", finished.stdout, finished.stderr);
+    assert!(finished.stdout.contains("of 100"), "{}", finished.stdout);
+    assert!(finished.stderr.contains("messages are passed on all the same"), "{}", finished.stderr);
+}
+
+#[test]
+fn gcs_fly_takes_the_world_of_the_vehicle_and_refuses_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let args = ["--pace", "lockstep", "--scenario", "1", "--ticks", "100"];
+    let (_sitl, address) = program::sitl(&args).unwrap();
+    let connect = format!("udpout:{address}");
+    let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
+    let finished = program::run("gcs", &[&fly[..], &["--scenario", "2"]].concat()).unwrap();
+    assert_eq!(finished.status.code(), Some(1));
+    let what =
+        "vehicle 1 flies in another world than --scenario: OBST_N = 225 in the scenario, 150 on the vehicle";
+    assert!(finished.stderr.contains(what), "{}", finished.stderr);
+    assert!(!out.exists(), "a failed start touches nothing");
+
+    let said = program::run("gcs", &fly).unwrap().good().unwrap();
+    assert!(said.starts_with("scenario 1 "), "{said}");
+    let config = Scenario::load(&out.join("config.toml")).unwrap();
+    assert_eq!(config.obstacle().position.y, 0.30);
+}
+
+#[test]
+fn gcs_fly_refuses_several_vehicles_and_obeys_sysid() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let args = ["--pace", "realtime", "--speed", "20", "--instances", "3", "--shared"];
+    let (_sitl, address) = program::sitl(&args).unwrap();
+    let connect = format!("udpout:{address}");
+    let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
+    let finished = program::run("gcs", &fly).unwrap();
+    assert_eq!(finished.status.code(), Some(1), "{}", finished.stdout);
+    assert!(
+        finished.stderr.contains("vehicles 1, 2, 3 are there: choose one by --sysid"),
+        "{}",
+        finished.stderr
+    );
+    let fly = [&fly[..], &["--sysid", "3", "--ticks", "20"]].concat();
+    program::run("gcs", &fly).unwrap().good().unwrap();
+    let tlog = std::fs::read(out.join("flight.tlog")).unwrap();
+    assert!(!tlog.is_empty() && lines(&out) > 0);
+}
+
+/// All files below a folder, with their bytes.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut all: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .map(|path| (path.clone(), std::fs::read(&path).unwrap()))
+        .collect();
+    all.sort();
+    all
+}
+
+/// N11: neither a failed start nor a second flight touches a flight that is there.
+#[test]
+fn gcs_fly_never_mixes_or_overwrites_flights() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("flight");
+    let fly = |flags: &[&str]| {
+        let (_sitl, address) = program::sitl(&["--pace", "lockstep", "--ticks", "100"]).unwrap();
+        let connect = format!("udpout:{address}");
+        let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--ticks", "10"];
+        program::run("gcs", &[&fly[..], &["--out", out.to_str().unwrap()], flags].concat()).unwrap()
+    };
+    fly(&[]).good().unwrap();
+    let before = files(&out);
+    assert_eq!(before.len(), 6, "{:?}", before.iter().map(|(path, _)| path).collect::<Vec<_>>());
+    let refused = fly(&[]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(refused.stderr.contains("holds a flight already"), "{}", refused.stderr);
+    assert!(files(&out) == before);
+    fly(&["--overwrite"]).good().unwrap();
+    assert_eq!(files(&out).len(), 6);
+}
+
+#[test]
+fn gcs_demo_without_out_takes_a_fresh_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut said = Vec::new();
+    for controller in ["rcc", "ucc"] {
+        let args = ["demo", "--controller", controller];
+        let gcs = Program::start("gcs", &args, Some(folder.path())).unwrap();
+        said.push(gcs.wait().unwrap().good().unwrap());
+    }
+    assert!(said[0].ends_with("records, tlog and plot in runs/demo\n"), "{}", said[0]);
+    assert!(said[1].ends_with("records, tlog and plot in runs/demo-2\n"), "{}", said[1]);
+    assert!(folder.path().join("runs/demo-2/ucc/run.json").exists());
+    assert!(!folder.path().join("runs/demo/ucc").exists());
+}
+
+#[test]
+fn gcs_episodes_on_sigint_says_what_was_flown() {
+    let args = ["episodes", "--controller", "rcc", "--episodes", "100000"];
+    let gcs = Program::start("gcs", &args, None).unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    gcs.interrupt().unwrap();
+    let finished = gcs.wait().unwrap();
+    assert_eq!(finished.status.code(), Some(130), "{}", finished.stderr);
+    assert!(finished.stderr.contains("of 100000, which are discarded"), "{}", finished.stderr);
+}
