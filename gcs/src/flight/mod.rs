@@ -340,7 +340,7 @@ struct FlightShell<'a> {
 impl<'a> FlightShell<'a> {
     async fn new(session: Session, scenario: &Scenario, options: &'a Options) -> Result<Self> {
         let connect = session.endpoint().to_string();
-        let (mut hub, encoder, (system, _)) = session.into_parts();
+        let (mut hub, encoder, fleet, system) = session.into_parts();
         hub.log_ahead();
         options.forward(&mut hub).await?;
         hub.take_control(Some(system));
@@ -348,7 +348,7 @@ impl<'a> FlightShell<'a> {
             connect,
             options,
             hub,
-            remote: Remote::new(scenario, system, encoder),
+            remote: Remote::new(scenario, system, encoder).knowing(fleet),
             first_percept: None,
             last_percept: Instant::now(),
             interval_s: scenario.scale.interval_s,

@@ -7,8 +7,8 @@ use crpl_sitl::program::terminal::ExitWith;
 use crpl_sitl::radio::message::{Command, Percept};
 
 use crate::flight::{Crew, Flight};
-use crate::lab::run_folder::{FlightEnded, RunFolder};
-use crate::lab::summary::Summary;
+use crate::lab::run_folder::RunFolder;
+use crate::lab::summary::{FlightEnded, Summary};
 use crate::station::Station;
 use crate::station::pilot::Controller;
 

@@ -19,20 +19,9 @@ use serde::Serialize;
 
 use crate::flight::FlightEnd;
 use crate::lab::figures::FlightPath;
-use crate::lab::summary::Summary;
+use crate::lab::summary::{FlightEnded, Summary};
 use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
-
-/// How and when a flight has ended.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct FlightEnded {
-    /// How.
-    pub how: FlightEnd,
-    /// Tick of the last percept.
-    pub tick: Option<u64>,
-    /// Why, in one line; empty after the last tick.
-    pub why: String,
-}
 
 /// `run.json`: how the result was made.
 #[derive(Debug, Clone, Serialize)]

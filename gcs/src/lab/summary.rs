@@ -7,10 +7,20 @@ use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use serde::Serialize;
 
 use crate::flight::{Flight, FlightEnd};
-use crate::lab::run_folder::FlightEnded;
 use crate::station::Station;
 use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
+
+/// How and when a flight has ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct FlightEnded {
+    /// How.
+    pub how: FlightEnd,
+    /// Tick of the last percept.
+    pub tick: Option<u64>,
+    /// Why, in one line; empty after the last tick.
+    pub why: String,
+}
 
 /// One flight in numbers.
 #[derive(Debug, Clone, Serialize)]

@@ -147,11 +147,10 @@ impl Session {
         &self.connect
     }
 
-    /// The open link, what writes to it, and the vehicle's system and component: for another shell to go on.
+    /// The open link, what writes to it, who was heard, and the vehicle's system id: for another shell to go on.
     #[must_use]
-    pub fn into_parts(self) -> (Hub, Encoder, (u8, u8)) {
-        let target = self.target();
-        (self.hub, self.station, target)
+    pub fn into_parts(self) -> (Hub, Encoder, Fleet, u8) {
+        (self.hub, self.station, self.fleet, self.system)
     }
 
     /// The vehicle's system and component.

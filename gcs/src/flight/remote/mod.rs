@@ -92,6 +92,12 @@ impl Remote {
         }
     }
 
+    /// With those who were heard before: a change of mode since then is news.
+    #[must_use]
+    pub fn knowing(self, fleet: Fleet) -> Self {
+        Self { fleet, ..self }
+    }
+
     /// A datagram has arrived.
     pub fn datagram(&mut self, bytes: &[u8], now: Duration) -> Vec<RemoteEvent> {
         let packets = self.decoder.datagram(bytes);
