@@ -58,6 +58,14 @@ impl RunManifest {
     }
 }
 
+impl RunManifest {
+    /// Whether policies of another world fly.
+    fn is_mismatched(&self) -> bool {
+        let differs = self.policy.as_ref().is_some_and(|policy| !policy.differences.is_empty());
+        differs && self.controller.flies_policies()
+    }
+}
+
 /// The files of a flight.
 const FILES: [&str; 6] = ["config.toml", "run.json", "record.jsonl", "flight.tlog", "path.svg", "path.png"];
 
@@ -135,7 +143,7 @@ impl RunFolder {
 
     /// Appends the records that are not written yet; each line is in the file when this returns.
     pub fn record(&mut self, records: &[Record]) {
-        let stamped = self.manifest.policy.as_ref().is_some_and(|policy| !policy.differences.is_empty());
+        let stamped = self.manifest.is_mismatched();
         let Some(file) = &mut self.records else { return };
         let mut lines = Vec::new();
         let made = records
@@ -164,7 +172,7 @@ impl RunFolder {
             if ended.how != FlightEnd::Over {
                 title += &format!(", {}", ended.how.key());
             }
-            if self.manifest.policy.as_ref().is_some_and(|policy| !policy.differences.is_empty()) {
+            if self.manifest.is_mismatched() {
                 title += ", policy of another world";
             }
             let path = FlightPath { title, records, scenario: &self.scenario, size: FlightPath::ALONE };
