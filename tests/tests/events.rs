@@ -268,3 +268,30 @@ fn gcs_episodes_on_sigint_says_what_was_flown() {
     assert_eq!(finished.status.code(), Some(130), "{}", finished.stderr);
     assert!(finished.stderr.contains("of 100000, which are discarded"), "{}", finished.stderr);
 }
+
+/// The phases that are over are kept.
+#[test]
+fn gcs_optimise_on_sigint_keeps_its_progress() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("policy");
+    let args = ["optimise", "--seed", "1", "--out", out.to_str().unwrap()];
+    let gcs = Program::start("gcs", &args, None).unwrap();
+    gcs.logs("no obstacle: ").unwrap();
+    gcs.interrupt().unwrap();
+    let finished = gcs.wait().unwrap();
+    assert_eq!(finished.status.code(), Some(130), "{}", finished.stderr);
+    assert!(finished.stderr.contains("--resume goes on"), "{}", finished.stderr);
+    assert_eq!(files(&out).len(), 1, "{:?}", files(&out));
+}
+
+#[test]
+fn gcs_report_on_sigint_leaves_no_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("report");
+    let gcs = Program::start("gcs", &["report", "all", "--out", out.to_str().unwrap()], None).unwrap();
+    std::thread::sleep(Duration::from_millis(700));
+    gcs.interrupt().unwrap();
+    let finished = gcs.wait().unwrap();
+    assert_eq!(finished.status.code(), Some(130), "{}", finished.stderr);
+    assert!(!out.exists() || std::fs::read_dir(&out).unwrap().next().is_some());
+}

@@ -23,7 +23,7 @@ pub mod foreign;
 pub mod remote;
 pub mod world;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
@@ -37,7 +37,7 @@ use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::{Signal, interrupted};
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::scenario::CollisionAction;
-use crpl_sitl::units::Tick;
+use crpl_sitl::units::{Tick, TxPower};
 use serde::{Serialize, Serializer};
 use tokio::time::{Instant, interval, sleep};
 
@@ -52,6 +52,9 @@ use crate::tools::session::{LinkFlags, Session};
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// How often, and how far apart, last words are sent: the vehicle does not answer.
 const FAREWELLS: (u32, Duration) = (4, Duration::from_millis(15));
+
+/// Commands after which a vehicle on a slow link still transmits at the power of an older one.
+const POWERS: usize = 10;
 
 /// How to fly.
 #[derive(Debug, Clone)]
@@ -160,7 +163,7 @@ pub enum FlightEnd {
     LinkLost,
     /// The vehicle's time has gone back.
     Rebooted,
-    /// The vehicle flies a setpoint that this station has not sent.
+    /// The vehicle flies a setpoint, or transmits at a power, that this station has not sent.
     ForeignSetpoint,
 }
 
@@ -286,7 +289,9 @@ pub async fn fly_on(
                             shell.hub.log_to(&tlog)?;
                         }
                         shell.percept(&percept, arrived);
-                        if let Some(why) = shell.foreign_setpoint(&percept) {
+                        let foreign =
+                            shell.foreign_setpoint(&percept).or_else(|| shell.foreign_power(&percept));
+                        if let Some(why) = foreign {
                             shell.flight.last = Some(percept);
                             return Ok(shell.end(FlightEnd::ForeignSetpoint, &why).await);
                         }
@@ -297,6 +302,8 @@ pub async fn fly_on(
                         }
                         let command = crew.command(&percept);
                         shell.sent.insert(command.tick, command.accel);
+                        shell.powers.push_back(command.power);
+                        shell.powers.drain(..shell.powers.len().saturating_sub(POWERS));
                         let datagram = shell.remote.command(&command);
                         shell.hub.send(&datagram).await;
                         shell.flight.last = Some(percept);
@@ -334,6 +341,8 @@ struct FlightShell<'a> {
     interval_s: f64,
     /// The accelerations of our commands, by their ticks.
     sent: BTreeMap<Tick, [f32; 2]>,
+    /// The powers of our last commands, newest last.
+    powers: VecDeque<TxPower>,
     flight: Flight,
 }
 
@@ -353,6 +362,7 @@ impl<'a> FlightShell<'a> {
             last_percept: Instant::now(),
             interval_s: scenario.scale.interval_s,
             sent: BTreeMap::new(),
+            powers: VecDeque::new(),
             flight: Flight::default(),
         })
     }
@@ -406,6 +416,15 @@ impl<'a> FlightShell<'a> {
              east",
             held.tick.0
         ))
+    }
+
+    /// The power at which the vehicle transmits, if none of our last commands asked for it.
+    fn foreign_power(&self, percept: &Percept) -> Option<String> {
+        let power = percept.telemetry.link?.power;
+        let is_ours = self.powers.len() < POWERS || self.powers.contains(&power);
+        (!is_ours).then(|| {
+            format!("the vehicle transmits at power {}, which this station has not asked for", power.level())
+        })
     }
 
     /// Whether the vehicle has collided since its last report, in a scenario in which it then falls.
@@ -508,7 +527,6 @@ mod tests {
     use std::net::SocketAddr;
 
     use crpl_sitl::Sim;
-    use crpl_sitl::units::TxPower;
     use crpl_sitl::vehicle::Vehicle;
     use tokio::net::UdpSocket;
 

@@ -180,18 +180,18 @@ static OF_AUTOPILOT: &[ParamSlot] = &[
     real(
         "DYN_V_MAX",
         |s| s.dynamics.v_max * s.scale.mps_per_speed(),
-        |s, v| s.dynamics.v_max = v / s.scale.mps_per_speed(),
+        |s, v| s.dynamics.v_max = rounded(v / s.scale.mps_per_speed()),
     ),
     real(
         "DYN_A_MAX",
         |s| s.dynamics.a_max * s.scale.mps_per_speed() / s.scale.interval_s,
-        |s, v| s.dynamics.a_max = v * s.scale.interval_s / s.scale.mps_per_speed(),
+        |s, v| s.dynamics.a_max = rounded(v * s.scale.interval_s / s.scale.mps_per_speed()),
     ),
     int("DYN_WALLS", |s| f64::from(u8::from(s.dynamics.walls)), |s, v| s.dynamics.walls = v != 0.0),
     real(
         "WIND_GUST",
         |s| s.disturbance.gust_std() * s.scale.mps_per_speed(),
-        |s, v| s.disturbance.sigma_c = v / s.scale.mps_per_speed() / s.disturbance.gust_scale,
+        |s, v| s.disturbance.sigma_c = rounded(v / s.scale.mps_per_speed() / s.disturbance.gust_scale),
     ),
     int(
         "COLLIDE_ACT",
@@ -283,7 +283,7 @@ fn metres(scenario: &Scenario, units: f64) -> f64 {
 }
 
 fn units(scenario: &Scenario, metres: f64) -> f64 {
-    metres / scenario.scale.metres_per_unit
+    rounded(metres / scenario.scale.metres_per_unit)
 }
 
 /// Former names, and what they are now.
@@ -596,7 +596,7 @@ pub fn world_of(params: &[(String, f32)]) -> Result<Scenario, NoSuchParameter> {
         match slot.holds {
             Holds::Told(_, set) | Holds::Setting(_, set) => set(&mut world, told),
             Holds::Obstacle(index, length) => {
-                *length(&mut world.obstacles[index]) = rounded(units(&world, told));
+                *length(&mut world.obstacles[index]) = units(&world, told);
             }
             Holds::ObstacleTold(index, unit, of) => {
                 *of(&mut world.obstacles[index]) = rounded(told / unit.size(&world));
