@@ -19,7 +19,7 @@ pub struct Preset {
 const SCENARIO_1: &str = "name = \"scenario 1\"\n[[obstacle]]\nposition = [0.50, 0.30]\n";
 
 /// All presets. The paper's two come first.
-pub const PRESETS: [Preset; 12] = [
+pub const PRESETS: [Preset; 13] = [
     Preset { name: "1", about: "the paper's Scenario 1: the obstacle shadows the path", toml: SCENARIO_1 },
     Preset { name: "2", about: "the paper's Scenario 2: the obstacle is in the path", toml: "" },
     Preset {
@@ -71,6 +71,11 @@ pub const PRESETS: [Preset; 12] = [
         name: "foreign",
         about: "2 on a field of 60 m, for ArduPilot and PX4",
         toml: include_str!("../../presets/foreign.toml"),
+    },
+    Preset {
+        name: "elsewhere",
+        about: "start, goal, obstacle and base station moved",
+        toml: include_str!("../../presets/elsewhere.toml"),
     },
 ];
 

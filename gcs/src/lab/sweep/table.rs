@@ -139,7 +139,7 @@ pub fn mean_cell(metric: Metric, mean: &Mean) -> String {
 
 /// Width of the column of [`mean_cell`].
 fn mean_width(metric: Metric) -> usize {
-    (18 + 2 * metric.decimals()).max(20)
+    (20 + 2 * metric.decimals()).max(22)
 }
 
 /// A ratio with its interval.
@@ -152,7 +152,7 @@ pub fn ratio_cell(ratio: &Mean) -> String {
 #[must_use]
 pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let mut out = format!(
-        "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval]; reached and below: of all flights\n",
+        "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval],\n= all: the same in every flight; reached and below: of all flights\n",
         plan.name,
         plan.axis,
         rows.first().map_or(0, |r| r.episodes),
