@@ -92,3 +92,45 @@ fn gcs_episodes_with_a_mismatch_allowed_says_so_in_text_and_json() {
     let crpl: serde_json::Value = serde_json::from_str(json.lines().next().unwrap()).unwrap();
     assert_eq!(crpl["policy"]["differences"][0]["key"], "goal", "{json}");
 }
+
+/// A safetensors file in which the first value of a tensor is another one.
+fn spoilt(file: &Path, tensor: &str, value: f32) -> Vec<u8> {
+    let mut bytes = std::fs::read(file).unwrap();
+    let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
+    let at = 8 + length + header[tensor]["data_offsets"][0].as_u64().unwrap() as usize;
+    assert_eq!(header[tensor]["dtype"], "F32");
+    bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    bytes
+}
+
+/// N13, also under controllers that need no policy.
+#[test]
+fn gcs_episodes_refuses_weights_that_are_not_finite_or_absurd() {
+    let folder = tempfile::tempdir().unwrap();
+    let shipped = program::workspace().join("model/pretrained");
+    for value in [f32::NAN, 1e38] {
+        let policy = folder.path().join("policy.safetensors");
+        std::fs::write(&policy, spoilt(&shipped.join("policy_s2.safetensors"), "motion.1.weight", value))
+            .unwrap();
+        let args = ["episodes", "--controller", "crpl", "--policy", policy.to_str().unwrap()];
+        let ended = gcs(folder.path(), &args);
+        let named = "tensor `motion.1.weight` has values that are not finite, or above 1e6";
+        assert!(ended.status.code() == Some(1) && ended.stderr.contains(named), "{}", ended.stderr);
+
+        let checkpoint = folder.path().join("model");
+        std::fs::create_dir_all(&checkpoint).unwrap();
+        for file in ["config.json", "card.md"] {
+            std::fs::copy(shipped.join(file), checkpoint.join(file)).unwrap();
+        }
+        let model = spoilt(&shipped.join("model.safetensors"), "heads.gain.1.weight", value);
+        std::fs::write(checkpoint.join("model.safetensors"), model).unwrap();
+        let args = ["episodes", "--controller", "rcc", "--checkpoint", checkpoint.to_str().unwrap()];
+        let ended = gcs(folder.path(), &args);
+        assert!(
+            ended.status.code() == Some(1) && ended.stderr.contains("heads.gain.1.weight"),
+            "{}",
+            ended.stderr
+        );
+    }
+}

@@ -82,7 +82,6 @@ pub struct ConstraintCheck {
     /// Seed of the first one.
     pub first_seed: u64,
     /// Standard deviation of the gusts' velocity change, units per interval.
-    #[serde(rename = "kick")]
     pub gust_std: f64,
     /// Flights without a collision.
     pub safe: ConstraintRate,

@@ -114,6 +114,16 @@ pub struct Writer {
     tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)>,
 }
 
+/// The largest magnitude of a stored f32. The shipped models stay below 400; with values far beyond, sums of
+/// products overflow, and a network says anything.
+const LARGEST: f32 = 1e6;
+
+/// Whether a stored number can be one of a trained model: finite, and not absurdly large.
+#[must_use]
+pub fn is_sane(value: f32) -> bool {
+    value.abs() <= LARGEST
+}
+
 impl Writer {
     /// Adds a tensor of f32.
     pub fn f32(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = f32>) {
@@ -205,7 +215,7 @@ impl<'a> Reader<'a> {
         let view = self.checked(name, shape, Dtype::F32)?;
         let (words, _) = view.data().as_chunks::<4>();
         let values: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
-        self.finite(name, values.iter().all(|v| v.is_finite()))?;
+        self.finite(name, values.iter().all(|v| is_sane(*v)))?;
         Ok(values)
     }
 

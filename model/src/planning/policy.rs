@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::numeric::kernel;
 use crate::numeric::mlp::{Dense, Mlp};
+use crate::numeric::tensors::is_sane;
 use crate::planning::scope::PolicyScope;
 
 /// Key of [`PolicyAbout`] in a policy file's metadata, as JSON.
@@ -227,10 +228,10 @@ impl Policies {
             }
             let floats = view.data().chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]]));
             let values: Vec<f32> = floats.collect();
-            if values.iter().all(|v| v.is_finite()) {
+            if values.iter().all(|v| is_sane(*v)) {
                 Ok(values)
             } else {
-                Err(format!("tensor `{name}` has values that are not finite"))
+                Err(format!("tensor `{name}` has values that are not finite, or above 1e6"))
             }
         };
         let net = |name: &str, widths: &[usize]| -> Result<Mlp, String> {
