@@ -168,6 +168,27 @@ fn gcs_fly_on_a_full_disk_flies_to_the_end() {
     assert!(finished.stderr.contains("messages are passed on all the same"), "{}", finished.stderr);
 }
 
+/// And a router passes on what it can no longer log.
+#[test]
+fn gcs_bridge_on_a_full_disk_goes_on_routing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, tlog) = (folder.path().join("flight"), folder.path().join("bridge.tlog"));
+    let (_sitl, address) = program::sitl(&["--pace", "lockstep", "--ticks", "100"]).unwrap();
+    let mut command = Command::new("bash");
+    let script = "trap '' XFSZ; ulimit -f 16; exec \"$@\"";
+    command.args(["-c", script, "bash"]).arg(program::path("gcs").unwrap());
+    command.args(["bridge", "--connect", &format!("udpout:{address}"), "--forward", "udpin:127.0.0.1:0"]);
+    command.arg("--tlog").arg(&tlog);
+    let bridge = Program::spawn("gcs bridge", command).unwrap();
+    let forward = bridge.line("listening on udpin:").unwrap();
+    let connect = format!("udpout:{forward}");
+    let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
+    program::run("gcs", &fly).unwrap().good().unwrap();
+    assert_eq!(lines(&out), 100);
+    bridge.logs("messages are passed on all the same").unwrap();
+    assert_eq!(bridge.so_far().matches("the tlog ends here").count(), 1, "said once");
+}
+
 #[test]
 fn gcs_fly_takes_the_world_of_the_vehicle_and_refuses_another() {
     let folder = tempfile::tempdir().unwrap();

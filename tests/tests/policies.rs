@@ -134,3 +134,25 @@ fn gcs_episodes_refuses_weights_that_are_not_finite_or_absurd() {
         );
     }
 }
+
+/// N8: gamma_min is kept, and the packet's rate is not.
+#[test]
+fn gcs_check_counts_the_rate_that_the_packet_needs() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "60"];
+    let ended = gcs(folder.path(), &args);
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.stdout);
+    assert!(ended.stderr.contains("P_comm measured in 60 flights"), "{}", ended.stderr);
+}
+
+/// N7: intervals of no width, over flights that are one.
+#[test]
+fn gcs_episodes_without_gusts_says_that_it_flew_one_flight() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["episodes", "--scenario", "2", "--controller", "rcc", "--episodes", "6"];
+    let said = gcs(folder.path(), &args).good().unwrap();
+    assert!(said.contains("all 6 flights are the same flight") && !said.contains('['), "{said}");
+    let json = gcs(folder.path(), &[&args[..], &["--json"]].concat()).good().unwrap();
+    let row: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&row["distinct"], &row["reached_ci"][0]), (&1.into(), &0.0.into()), "{json}");
+}

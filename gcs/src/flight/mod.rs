@@ -4,7 +4,7 @@
 //! is asked for again; commands are repeated, which also keeps the time-outs of real autopilots
 //! away. Knows no controller: the station is a [`Crew`].
 //!
-//! Other stations may watch through the same program ([`Options::forward`]). During the flight their
+//! Other stations may watch through the same program (`Options::forward`). During the flight their
 //! setpoints are not forwarded. An operator's change of mode is; once the vehicle has accepted it, the station
 //! stops its setpoints, reports that, and goes on forwarding messages.
 //!

@@ -1,7 +1,7 @@
 //! `gcs optimise --random N`: how general Algorithm 1 is, on worlds that nobody chose.
 //!
 //! Each world is Scenario 2 with another start, goal, obstacle, base station and bandwidth, drawn uniformly in
-//! [`Ranges`]. Whether a world is solvable is decided without any policy, by a search for a path
+//! the ranges below. Whether a world is solvable is decided without any policy, by a search for a path
 //! ([`solvable`]).
 
 use std::collections::VecDeque;

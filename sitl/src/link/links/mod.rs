@@ -11,7 +11,7 @@
 //! | `tcp.rs` | `tcpin`, `tcpout` |
 //! | `stream.rs` | one stream and what waits for its peer |
 //!
-//! A new kind of endpoint is a variant of [`Endpoint`], a [`LinkPort`] in a file of its own, and an arm
+//! A new kind of endpoint is a variant of [`Endpoint`], a `LinkPort` in a file of its own, and an arm
 //! of `LinkPort::open`. What holds for every endpoint, such as a filter or a limit on its rate, has its
 //! place in [`Links::send`], by the endpoint's entry.
 
