@@ -387,6 +387,9 @@ pub struct Served {
 
 impl Served {
     /// ArduCopter waits for a station on TCP, as its simulator does; PX4 speaks on UDP.
+    ///
+    /// # Errors
+    /// No socket can be opened.
     pub fn start(autopilot: Autopilot, factor: f64) -> Result<Self> {
         let stack = autopilot.stack;
         let autopilot = Arc::new(Mutex::new(autopilot));

@@ -13,6 +13,9 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 /// Reads `tests/golden/NAME.json` as a `T`. Errors name the file.
+///
+/// # Errors
+/// The file cannot be read, or is another one.
 pub fn read<T: DeserializeOwned>(name: &str) -> Result<T> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("golden").join(format!("{name}.json"));
     let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;

@@ -18,6 +18,9 @@ pub const PATIENCE: Duration = Duration::from_secs(300);
 
 /// The folder of this profile's artefacts, such as `target/release`: the running test lies in its
 /// `deps`.
+///
+/// # Errors
+/// The test does not lie in a folder of cargo's.
 pub fn profile_folder() -> Result<PathBuf> {
     let test = std::env::current_exe().context("finding the running test")?;
     let folder = test.ancestors().nth(2).context("the running test lies in no target folder")?;
@@ -26,6 +29,9 @@ pub fn profile_folder() -> Result<PathBuf> {
 
 /// The program `name` (`sitl`, `gcs` or `model`), after a build if one is due. The build takes place
 /// once per test process, and cargo itself keeps processes apart.
+///
+/// # Errors
+/// The programs cannot be built.
 pub fn path(name: &str) -> Result<PathBuf> {
     static BUILT: OnceLock<std::result::Result<PathBuf, String>> = OnceLock::new();
     let folder =
@@ -83,6 +89,9 @@ pub struct Finished {
 
 impl Finished {
     /// What was printed, if the program ended well; an error with all that it logged if not.
+    ///
+    /// # Errors
+    /// The program ended badly: all that it printed and logged.
     pub fn good(self) -> Result<String> {
         if !self.status.success() {
             bail!("ended with {}\nstdout:\n{}\nstderr:\n{}", self.status, self.stdout, self.stderr);
@@ -117,11 +126,17 @@ impl Program {
     }
 
     /// Starts any command with its output caught.
+    ///
+    /// # Errors
+    /// It cannot be started.
     pub fn spawn(name: &str, command: Command) -> Result<Self> {
         Self::launch(name, command, Stdio::null())
     }
 
     /// Starts a command that reads what it is told ([`Program::tell`]).
+    ///
+    /// # Errors
+    /// It cannot be started.
     pub fn converse(name: &str, command: Command) -> Result<Self> {
         Self::launch(name, command, Stdio::piped())
     }
@@ -139,6 +154,9 @@ impl Program {
     }
 
     /// The first printed line that starts with `prefix`, without it.
+    ///
+    /// # Errors
+    /// It prints no such line in time.
     pub fn line(&self, prefix: &str) -> Result<String> {
         let found = self.stdout.wait(|lines| {
             lines.iter().find_map(|line| line.strip_prefix(prefix)).map(|rest| rest.trim().to_owned())
@@ -147,18 +165,27 @@ impl Program {
     }
 
     /// Waits until something logged contains `text`.
+    ///
+    /// # Errors
+    /// It logs no such line in time.
     pub fn logs(&self, text: &str) -> Result<()> {
         let found = self.stderr.wait(|lines| lines.iter().any(|line| line.contains(text)).then_some(()));
         found.with_context(|| self.complaint(&format!("did not log `{text}`")))
     }
 
     /// Writes a line to the program's stdin.
+    ///
+    /// # Errors
+    /// It does not listen.
     pub fn tell(&mut self, line: &str) -> Result<()> {
         let stdin = self.child.stdin.as_mut().with_context(|| format!("{} does not listen", self.name))?;
         writeln!(stdin, "{line}").with_context(|| format!("telling {} `{line}`", self.name))
     }
 
     /// Waits until something printed since the last [`Program::hears`] contains `text`.
+    ///
+    /// # Errors
+    /// It prints no such line in time.
     pub fn hears(&mut self, text: &str) -> Result<String> {
         let from = self.heard;
         let found = self.stdout.wait(|lines| {
@@ -188,11 +215,17 @@ impl Program {
     }
 
     /// Asks the program to end, as Ctrl-C does.
+    ///
+    /// # Errors
+    /// There is no `kill`, or it fails.
     pub fn interrupt(&self) -> Result<()> {
         self.signal("-INT")
     }
 
     /// Sends a signal by its name, `-STOP` or `-CONT` for one.
+    ///
+    /// # Errors
+    /// There is no `kill`, or it fails.
     pub fn signal(&self, name: &str) -> Result<()> {
         let kill = Command::new("kill").arg(name).arg(self.child.id().to_string()).status();
         let status = kill.context("starting kill")?;
@@ -203,6 +236,9 @@ impl Program {
     }
 
     /// Waits for the program's own end.
+    ///
+    /// # Errors
+    /// It does not end in time.
     pub fn wait(mut self) -> Result<Finished> {
         let deadline = Instant::now() + PATIENCE;
         let status = loop {
@@ -232,6 +268,9 @@ impl Drop for Program {
 }
 
 /// Runs a program of the workspace to its end.
+///
+/// # Errors
+/// It cannot be started, or does not end in time.
 pub fn run<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
     Program::start(name, args, None)?.wait()
 }

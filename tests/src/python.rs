@@ -20,12 +20,18 @@ const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
 /// The folder of the environment's programs. Made at the first call and kept beside the build; other
 /// tests and other processes wait meanwhile.
+///
+/// # Errors
+/// The environment cannot be made.
 pub fn environment() -> Result<PathBuf> {
     made("python", "python3", &[], REQUIREMENTS)
 }
 
 /// The same with the system's PyTorch, and ONNX Runtime: for [`torch_script`]. A machine without
 /// PyTorch is told what to install.
+///
+/// # Errors
+/// The environment cannot be made.
 pub fn torch_environment() -> Result<PathBuf> {
     let found = Command::new(SYSTEM_PYTHON).args(["-c", "import torch, numpy, venv, ensurepip"]).output();
     if !found.is_ok_and(|output| output.status.success()) {
@@ -71,11 +77,17 @@ fn checked(command: &mut Command) -> Result<()> {
 }
 
 /// Runs `tests/python/NAME` to its end.
+///
+/// # Errors
+/// The environment cannot be made, or the script does not end in time.
 pub fn script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
     run_in(&environment()?, name, args)
 }
 
 /// Runs `tests/python/NAME`, which needs PyTorch or ONNX Runtime, to its end.
+///
+/// # Errors
+/// The environment cannot be made, or the script does not end in time.
 pub fn torch_script<A: AsRef<std::ffi::OsStr>>(name: &str, args: &[A]) -> Result<Finished> {
     run_in(&torch_environment()?, name, args)
 }
@@ -88,6 +100,9 @@ fn run_in<A: AsRef<std::ffi::OsStr>>(bin: &Path, name: &str, args: &[A]) -> Resu
 }
 
 /// A program that came with a package, such as `mavproxy.py`, to be given its arguments.
+///
+/// # Errors
+/// The environment cannot be made.
 pub fn tool(name: &str) -> Result<Command> {
     let bin = environment()?;
     let mut command = Command::new(bin.join("python"));
@@ -96,12 +111,18 @@ pub fn tool(name: &str) -> Result<Command> {
 }
 
 /// What pymavlink's own `mavlogdump.py` prints of a tlog, and what it complains of.
+///
+/// # Errors
+/// The tool fails.
 pub fn mavlogdump(tlog: &Path) -> Result<String> {
     read_log("mavlogdump.py", tlog)
 }
 
 /// What pymavlink's own `mavloss.py` prints of a tlog: the gaps in each sender's sequence. (It counts
 /// right; `mavlogdump.py --show-loss` takes its own second reading of the file for a gap.)
+///
+/// # Errors
+/// The tool fails.
 pub fn mavloss(tlog: &Path) -> Result<String> {
     read_log("mavloss.py", tlog)
 }

@@ -35,6 +35,9 @@ struct Path {
 
 impl Relay {
     /// A path to `target` that loses every `every`th datagram; 0 loses none.
+    ///
+    /// # Errors
+    /// No socket can be opened.
     pub fn to(target: SocketAddr, every: u64) -> Result<Self> {
         let socket = || -> Result<UdpSocket> {
             let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).context("binding the relay")?;

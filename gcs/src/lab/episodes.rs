@@ -1,4 +1,4 @@
-//! Many flights in process on consecutive seeds, every picture rendered and encoded, controllers
+//! Many flights in process on consecutive seeds, every frame rendered and encoded, controllers
 //! paired by the same gusts.
 
 use anyhow::Result;
@@ -68,6 +68,9 @@ pub struct EpisodesRow {
 }
 
 /// Runs the subcommand.
+///
+/// # Errors
+/// A scenario or model that does not read, a controller without policies, a signal.
 pub fn run(args: &Episodes) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let mut models = args.models.load()?;

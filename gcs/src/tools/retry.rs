@@ -23,6 +23,9 @@ pub struct GaveUp;
 
 impl Retry {
     /// Whether it is to be sent now.
+    ///
+    /// # Errors
+    /// [`GaveUp`] after the last try.
     pub fn fires(&mut self, now: Duration) -> Result<bool, GaveUp> {
         if now < self.due {
             return Ok(false);

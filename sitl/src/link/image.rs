@@ -26,7 +26,7 @@ const CHUNKS: usize = (DATAGRAM - HANDSHAKE_FRAME) / CHUNK_FRAME;
 const CHUNK_FRAME: usize = CHUNK + 2 + 12;
 /// A DATA_TRANSMISSION_HANDSHAKE frame's length at most, bytes.
 const HANDSHAKE_FRAME: usize = 13 + 12;
-/// No picture of ours is as large; a handshake that announces more is not believed.
+/// No frame of ours is as large; a handshake that announces more is not believed.
 const MAX_SIZE: usize = 64 * 1024;
 const KEYWORD: &str = "tick";
 
@@ -45,6 +45,9 @@ pub enum ImageError {
 }
 
 /// A frame as PNG that names its tick.
+///
+/// # Errors
+/// The frame cannot be compressed.
 pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> {
     let failed = |error: png::EncodingError| ImageError::Png(error.to_string());
     let mut bytes = Vec::with_capacity(4096);
@@ -61,6 +64,9 @@ pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> 
 }
 
 /// The frame in a PNG, and its tick.
+///
+/// # Errors
+/// The bytes are no PNG, or none of a frame's size with a tick in it.
 pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
     let failed = |error: png::DecodingError| ImageError::Png(error.to_string());
     let limits = png::Limits { bytes: 4 << 20 };

@@ -169,6 +169,9 @@ impl Args {
 }
 
 /// Flies until the last tick or Ctrl-C. The first line on stdout names the address.
+///
+/// # Errors
+/// A scenario, parameter file or key that does not read, and an endpoint that cannot be opened.
 pub async fn run(args: Args) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)

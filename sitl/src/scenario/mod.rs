@@ -53,7 +53,7 @@ pub struct Scenario {
     pub scale: Scale,
     /// What the camera draws.
     pub camera: Camera,
-    /// How the ground station tells place and speed from pictures.
+    /// How the ground station tells place and speed from frames.
     pub observer: Observer,
     /// What the vehicle does when it hears nothing.
     pub failsafe: Failsafe,
@@ -243,7 +243,7 @@ pub enum Rule {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Observer {
-    /// M, pictures from which place and speed are told; 2 is their difference (our choice).
+    /// M, frames from which place and speed are told; 2 is their difference (our choice).
     pub window: u64,
 }
 
@@ -404,6 +404,9 @@ impl Default for Autopilot {
 
 impl Scenario {
     /// The paper's Scenario 1 or 2.
+    ///
+    /// # Errors
+    /// The paper has no scenario of this number.
     pub fn numbered(number: u8) -> Result<Self, ScenarioError> {
         let mut scenario = Self::default();
         scenario.set_number(number)?;
@@ -411,6 +414,9 @@ impl Scenario {
     }
 
     /// Puts the first obstacle where Scenario 1 or 2 has it; all else stays.
+    ///
+    /// # Errors
+    /// The paper has no scenario of this number.
     pub fn set_number(&mut self, number: u8) -> Result<(), ScenarioError> {
         let position = match number {
             1 => Vector2::new(0.50, 0.30),
@@ -440,6 +446,9 @@ impl Scenario {
     }
 
     /// Reads a TOML file; keys that it leaves out keep the paper's values.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no scenario: the error names file, line and key.
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ScenarioError::Read { path: path.into(), source })?;
@@ -448,6 +457,9 @@ impl Scenario {
     }
 
     /// Parses and checks a TOML text.
+    ///
+    /// # Errors
+    /// The text is no TOML, has an unknown or former key, or a value out of range: the error names it.
     pub fn from_toml(text: &str) -> Result<Self, anyhow::Error> {
         let scenario: Self = toml::from_str(text).map_err(|error| match check::renamed(text) {
             Some(renamed) => anyhow::Error::from(renamed),

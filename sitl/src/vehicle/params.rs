@@ -324,6 +324,9 @@ pub enum ParamError {
 
 impl Vehicle {
     /// A vehicle that boots with these parameters: those that take effect at boot, too.
+    ///
+    /// # Errors
+    /// A parameter that is unknown or out of range: the error names its line.
     pub fn boot(
         scenario: &Scenario,
         seed: u64,

@@ -86,6 +86,10 @@ fn rgb(n: usize) -> String {
 }
 
 /// Runs `gcs report`.
+///
+/// # Errors
+/// A folder that is no finished sweep, a controller without policies, a file that cannot be written, a
+/// signal.
 pub fn run(args: &Report) -> Result<()> {
     let out = match (&args.out, args.what.as_str()) {
         (Some(out), _) => out.clone(),

@@ -22,6 +22,9 @@ pub struct Merge {
 }
 
 /// Runs `gcs merge`.
+///
+/// # Errors
+/// Folders that are not all shards of one sweep, and files that cannot be written.
 pub fn run(args: &Merge) -> Result<()> {
     let folders = args.shards.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>>>()?;
     check(&folders)?;

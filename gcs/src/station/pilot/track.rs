@@ -1,4 +1,4 @@
-//! An obstacle's speed from its last pictures: latents in, latents per interval out.
+//! An obstacle's speed from its last frames: latents in, latents per interval out.
 
 use crpl_sitl::units::Tick;
 

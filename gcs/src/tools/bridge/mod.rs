@@ -56,6 +56,9 @@ pub struct Bridge {
 const SAVE: Duration = Duration::from_secs(1);
 
 /// Routes until Ctrl-C, then prints the counters.
+///
+/// # Errors
+/// An endpoint, file or key that cannot be opened.
 pub async fn run(args: Bridge) -> Result<()> {
     let mut hub = Hub::default();
     if let Some(path) = &args.signing_key {

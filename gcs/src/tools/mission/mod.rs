@@ -48,6 +48,9 @@ enum MissionAction {
 }
 
 /// Does what was asked and prints it.
+///
+/// # Errors
+/// A file that does not read, no vehicle, and a transfer that the vehicle refuses.
 pub async fn run(args: Missions) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let plan = match &args.action {

@@ -63,6 +63,9 @@ enum ParamAction {
 }
 
 /// Does what was asked and prints it.
+///
+/// # Errors
+/// A file that does not read, no vehicle, and parameters that it refuses.
 pub async fn run(args: Params) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let wanted = match &args.action {

@@ -197,6 +197,9 @@ impl Signing {
     }
 
     /// Checks a frame. Only a frame that is good changes any timestamp.
+    ///
+    /// # Errors
+    /// Why the packet is not accepted: no signature, a wrong one, or an old timestamp.
     pub fn check(&mut self, packet: &Packet, now: u64) -> Result<Origin, Rejection> {
         let checked = self.examine(packet, now);
         match checked {
@@ -365,6 +368,9 @@ impl Store {
     }
 
     /// Key and timestamps; if there is no file, the key of `shared` alone.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds no key.
     pub fn load_or(&self, shared: &Self, policy: Policy) -> Result<Signing, StoreError> {
         if self.path.exists() {
             return self.load(policy);
@@ -374,6 +380,9 @@ impl Store {
     }
 
     /// Key and timestamps; no key if there is no file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or holds no key.
     pub fn load(&self, policy: Policy) -> Result<Signing, StoreError> {
         let text = match std::fs::read_to_string(&self.path) {
             Ok(text) => text,
@@ -395,6 +404,9 @@ impl Store {
     }
 
     /// Writes key and timestamps; `clean` at the program's end.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn save(&self, signing: &Signing, clean: bool) -> Result<(), StoreError> {
         let content = Content {
             key: signing.key.as_ref().map(|key| to_hex(&key.0)),
@@ -403,7 +415,8 @@ impl Store {
             clean,
             streams: signing.streams.iter().map(|(&(link, s, c), &stamp)| (link, s, c, stamp)).collect(),
         };
-        let body = toml::to_string(&content).expect("numbers and strings fit into TOML");
+        let failed = |error: toml::ser::Error| self.failed("writing", io::Error::other(error));
+        let body = toml::to_string(&content).map_err(failed)?;
         let text =
             format!("# MAVLink signing: secret key and newest timestamps. Keep it to yourself.\n{body}");
         // Written beside and renamed, so that no crash leaves half a file.
