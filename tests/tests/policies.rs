@@ -139,10 +139,10 @@ fn gcs_episodes_refuses_weights_that_are_not_finite_or_absurd() {
 #[test]
 fn gcs_check_counts_the_rate_that_the_packet_needs() {
     let folder = tempfile::tempdir().unwrap();
-    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "60"];
+    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "100"];
     let ended = gcs(folder.path(), &args);
     assert_eq!(ended.status.code(), Some(1), "{}", ended.stdout);
-    assert!(ended.stderr.contains("P_comm measured in 60 flights"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("P_comm measured in 100 flights"), "{}", ended.stderr);
 }
 
 /// N7: intervals of no width, over flights that are one.
