@@ -112,8 +112,12 @@ impl Resamples {
     /// of values than the resamples have, without an interval.
     #[must_use]
     pub fn mean(&self, values: &[f64]) -> Mean {
+        // Equal values have no spread, and rounding must not give them one.
+        if let Some(first) = values.first().filter(|first| values.iter().all(|v| v == *first)) {
+            return Mean { mean: *first, ci: [*first, *first], sd: 0.0 };
+        }
         let (mean, sd) = mean_and_sd(values);
-        if values.len() != self.episodes || sd == 0.0 {
+        if values.len() != self.episodes {
             return Mean { mean, ci: [mean, mean], sd };
         }
         let n = self.episodes as f64;
@@ -219,7 +223,9 @@ mod tests {
                 "{low} {mean} {high}: {values:?}"
             );
         }
-        assert!(Mean::of(&[0.0; 8]).is_constant());
+        for value in [0.0, 0.0128, 9125.7] {
+            assert!(Mean::of(&[value; 100]).is_constant() && Mean::of(&[value; 100]).mean == value);
+        }
     }
 
     #[test]

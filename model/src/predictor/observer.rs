@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn more_frames_see_the_speed_better_and_kicks_are_not_averaged_away() {
+    fn more_frames_see_the_speed_better_and_gusts_are_not_averaged_away() {
         let mut rng = Noise::new(2).generator(Stream::Evaluation, 0);
         let speed_error = |window: usize, reckoned: f64, gust: f64, rng: &mut _| -> f64 {
             let squares: Vec<f64> = (0..200)

@@ -50,8 +50,8 @@ pub struct ScenarioFlight {
     pub violations: Vec<u64>,
     /// Smallest SNR.
     pub least_snr: f64,
-    /// Share of flights in gusts that pass below; Scenario 2 only.
-    pub gusty_below: Option<f64>,
+    /// How many flights in gusts pass below, and of how many; Scenario 2 only.
+    pub gusty_below: Option<[u64; 2]>,
 }
 
 /// One scenario, flown by all.
@@ -152,7 +152,7 @@ fn gusty_below(
     scenario: &Scenario,
     flights: u64,
     stop: Option<&StopSignal>,
-) -> Result<f64> {
+) -> Result<[u64; 2]> {
     let (_, first) = GUSTS;
     let scenario = in_gusts(scenario.clone());
     let contender = Contender::new(models, controller, &scenario)?;
@@ -164,7 +164,7 @@ fn gusty_below(
     if let Some(signal) = stop.and_then(StopSignal::get) {
         return Err(signal.exit("the scenarios were not flown to their end; nothing is written").into());
     }
-    Ok(below.iter().filter(|b| **b).count() as f64 / flights.max(1) as f64)
+    Ok([below.iter().filter(|b| **b).count() as u64, flights])
 }
 
 impl Flown {
@@ -211,7 +211,7 @@ impl Flown {
                 format!("{:.2}", f.least_snr),
             ];
             cells.extend(columns().map(|metric| metric.show(f.score[metric])));
-            cells.push(f.gusty_below.map_or("-".into(), |share| format!("{share:.3}")));
+            cells.push(f.gusty_below.map_or("-".into(), |[below, of]| format!("{below} of {of}")));
             cells
         };
         self.flights.iter().map(row).collect()
@@ -373,16 +373,15 @@ fn late(f: &ScenarioFlight) -> Claim {
 }
 
 fn below_and_connected(f: &ScenarioFlight) -> Claim {
-    let gusty = f.gusty_below.unwrap_or(0.0);
+    let [gusty, of] = f.gusty_below.unwrap_or_default();
     Claim {
-        holds: f.passes_below() && f.violations.is_empty() && gusty >= 0.99,
+        holds: f.passes_below() && f.violations.is_empty() && gusty * 100 >= of * 99,
         text: format!(
-            "{} passes {} the obstacle (y = {:.3}), in gusts below it in {:.1} % of flights; SNR below γ_min in {} \
+            "{} passes {} the obstacle (y = {:.3}), in gusts below it in {gusty} of {of} flights; SNR below γ_min in {} \
              intervals, high power in {}.",
             f.controller,
             if f.passes_below() { "below" } else { "above" },
             f.y_abreast.unwrap_or(f64::NAN),
-            100.0 * gusty,
             f.violations.len(),
             f.high.len()
         ),
