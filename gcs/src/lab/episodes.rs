@@ -68,6 +68,9 @@ pub struct EpisodesRow {
 }
 
 /// Runs the subcommand.
+///
+/// # Errors
+/// A name, a model or a policy cannot be read, a flight fails, or a signal stops the flights.
 pub fn run(args: &Episodes) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let mut models = args.models.load()?;

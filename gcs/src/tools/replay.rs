@@ -51,6 +51,9 @@ pub struct Replay {
 type Script = Vec<(Duration, Vec<u8>)>;
 
 /// Sends the file to its end.
+///
+/// # Errors
+/// The file or the key cannot be read, or an endpoint cannot be opened.
 pub async fn run(args: Replay) -> Result<()> {
     let script = script(&args.file, args.all)?;
     let mut interrupted = pin!(interrupted());

@@ -23,6 +23,9 @@ pub struct GaveUp;
 
 impl Retry {
     /// Whether it is to be sent now.
+    ///
+    /// # Errors
+    /// It was sent as often as allowed, and no answer came.
     pub fn fires(&mut self, now: Duration) -> Result<bool, GaveUp> {
         if now < self.due {
             return Ok(false);

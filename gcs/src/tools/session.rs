@@ -85,6 +85,9 @@ pub struct Session {
 
 impl Session {
     /// Opens the link and waits for the vehicle.
+    ///
+    /// # Errors
+    /// The endpoint or the key's file cannot be opened, or no vehicle is heard in time.
     pub async fn open(link: &LinkFlags) -> Result<Self> {
         let mut hub = Hub::default();
         hub.local();
@@ -201,6 +204,9 @@ impl Session {
 
     /// Asks a command and waits for its answer; gives also what came meanwhile, as a message that it
     /// announces may come before or behind the answer.
+    ///
+    /// # Errors
+    /// The program is interrupted.
     pub async fn command(&mut self, request: CommandRequest) -> Result<(CommandResult, Vec<Packet>)> {
         self.commands.request(request, self.now());
         let mut heard = Vec::new();
@@ -220,6 +226,9 @@ impl Session {
     }
 
     /// Asks for one message by REQUEST_MESSAGE; `None` if the vehicle does not send it.
+    ///
+    /// # Errors
+    /// The program is interrupted.
     pub async fn request<M: MessageData>(&mut self) -> Result<Option<Packet>> {
         let request = CommandRequest::new(MavCmd::MAV_CMD_REQUEST_MESSAGE, [M::ID as f32], self.target());
         let (result, heard) = self.command(request).await?;
@@ -237,6 +246,9 @@ impl Session {
     }
 
     /// Runs an exchange to its end.
+    ///
+    /// # Errors
+    /// The exchange fails, or the program is interrupted: the error names the vehicle.
     pub async fn run<E: Exchange>(&mut self, exchange: &mut E) -> Result<E::Output> {
         loop {
             let (now, mut datagram) = (self.now(), Vec::new());

@@ -161,6 +161,9 @@ impl Writer {
     }
 
     /// The bytes of a safetensors file with this metadata.
+    ///
+    /// # Errors
+    /// A tensor's bytes do not fit its shape, or the header is too large.
     pub fn bytes_about(&self, metadata: Option<HashMap<String, String>>) -> Result<Vec<u8>, TensorError> {
         let wrong = |e: safetensors::SafeTensorError| TensorError::Format {
             path: "tensors".into(),

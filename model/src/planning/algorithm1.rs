@@ -101,6 +101,9 @@ pub trait OptimiseWatch {
     /// Called after every iteration: phase, iteration within it, its length, estimate, gradient norm.
     fn iteration(&mut self, phase: &str, done: usize, of: usize, estimate: &ObjectiveEstimate, norm: f64);
     /// Called when a phase has ended; `progress` may be saved.
+    ///
+    /// # Errors
+    /// The progress cannot be saved.
     fn phase_done(&mut self, phase: &str, progress: &OptimiseProgress) -> Result<(), OptimiseError>;
     /// Called once the candidates have been compared.
     fn compared(&mut self, comparison: &Comparison);

@@ -215,6 +215,10 @@ impl Policies {
     }
 
     /// Reads the bytes of a policy file; the error names the tensor and its shape.
+    ///
+    /// # Errors
+    /// The bytes are no safetensors file, or a tensor is missing, has another shape or type, or holds values
+    /// that are not finite or are above 1e6.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a safetensors file: {e}"))?;
         let tensor = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {

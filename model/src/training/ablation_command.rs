@@ -59,6 +59,9 @@ pub struct Robustness {
 }
 
 /// Runs `model ablate`.
+///
+/// # Errors
+/// The config cannot be read, `--only` names no row, a training fails, or the output cannot be written.
 pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
@@ -84,6 +87,9 @@ pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
 }
 
 /// Runs `model robustness`.
+///
+/// # Errors
+/// A model or a config cannot be read, a training fails, or the result cannot be written as JSON.
 pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
     let (scenario, noise) = (Scenario::default(), Noise::new(args.seed));
     let mut models = Vec::new();

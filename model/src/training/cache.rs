@@ -99,6 +99,9 @@ impl StageCache {
 }
 
 /// Reads a file of a stage that holds one value.
+///
+/// # Errors
+/// The file cannot be read, or a tensor is missing or has another shape.
 pub fn load_one<T: Stored>(dir: &Path, name: &str) -> Result<T, TensorError> {
     read(dir, name, T::get)
 }
@@ -114,6 +117,9 @@ pub fn save_one(value: &impl Stored, dir: &Path, name: &str) -> Result<(), Tenso
 }
 
 /// Reads one file of a stage.
+///
+/// # Errors
+/// The file cannot be read, is no safetensors file, or `parse` refuses it.
 pub fn read<T>(
     dir: &Path,
     name: &str,
@@ -174,6 +180,9 @@ pub fn save_weights(weights: &Weights, dir: &Path) -> Result<(), TensorError> {
 }
 
 /// Reads what [`save_weights`] wrote.
+///
+/// # Errors
+/// The file cannot be read, or a tensor is missing or has another shape.
 pub fn load_weights(dir: &Path) -> Result<Weights, TensorError> {
     load_one(dir, "weights.safetensors")
 }

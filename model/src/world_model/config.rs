@@ -265,6 +265,9 @@ impl TrainConfig {
     }
 
     /// Reads a TOML file; keys that it leaves out keep their defaults.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no config, or a value is refused: the error names the key.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let wrong = |message: String| ConfigError::Config { path: path.into(), message };
         let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;

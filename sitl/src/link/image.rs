@@ -45,6 +45,9 @@ pub enum ImageError {
 }
 
 /// A frame as PNG that names its tick.
+///
+/// # Errors
+/// The PNG encoder fails.
 pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> {
     let failed = |error: png::EncodingError| ImageError::Png(error.to_string());
     let mut bytes = Vec::with_capacity(4096);
@@ -61,6 +64,9 @@ pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> 
 }
 
 /// The frame in a PNG, and its tick.
+///
+/// # Errors
+/// The bytes are no PNG, the frame has another size or format, or its tick is missing.
 pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
     let failed = |error: png::DecodingError| ImageError::Png(error.to_string());
     let limits = png::Limits { bytes: 4 << 20 };

@@ -32,6 +32,9 @@ pub struct NoParam {
 }
 
 /// The parameters of a file, in its order.
+///
+/// # Errors
+/// A line is no parameter: the error names it.
 pub fn parse(text: &str) -> Result<Vec<Entry>, NoParam> {
     let lines =
         text.lines().enumerate().map(|(k, text)| (k + 1, text.split('#').next().unwrap_or("").trim()));

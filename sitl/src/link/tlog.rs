@@ -21,6 +21,9 @@ impl<W: Write> Tlog<W> {
     }
 
     /// Appends the frames of a datagram that we made ourselves.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn datagram(&mut self, bytes: &[u8], time: SystemTime) -> io::Result<()> {
         for frame in signing::frames(bytes) {
             self.frame(frame, time)?;
@@ -30,6 +33,9 @@ impl<W: Write> Tlog<W> {
 
     /// Appends a frame that was sent or received at `time`. Times never go back in the file. A
     /// signature is left out, and SETUP_SIGNING, which holds a key, never enters it.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn frame(&mut self, raw: &[u8], time: SystemTime) -> io::Result<()> {
         if Header::of(raw).is_some_and(|header| header.id == dialect::SETUP_SIGNING_DATA::ID) {
             return Ok(());
@@ -46,6 +52,9 @@ impl<W: Write> Tlog<W> {
     }
 
     /// Hands everything to the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
     }

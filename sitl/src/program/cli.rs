@@ -169,6 +169,10 @@ impl Args {
 }
 
 /// Flies until the last tick or Ctrl-C. The first line on stdout names the address.
+///
+/// # Errors
+/// The scenario, a key or a parameter file cannot be read, an address cannot be bound, or a file cannot be
+/// written.
 pub async fn run(args: Args) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)

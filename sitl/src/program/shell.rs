@@ -95,6 +95,9 @@ impl Shell {
     }
 
     /// Puts vehicles, of which there must be one at least, behind endpoints that they share.
+    ///
+    /// # Panics
+    /// There is no vehicle.
     #[must_use]
     pub fn over(links: Links, mut vehicles: Vec<Vehicle>) -> Self {
         assert!(!vehicles.is_empty(), "somebody must fly");

@@ -404,6 +404,9 @@ impl Default for Autopilot {
 
 impl Scenario {
     /// The paper's Scenario 1 or 2.
+    ///
+    /// # Errors
+    /// The number is neither 1 nor 2.
     pub fn numbered(number: u8) -> Result<Self, ScenarioError> {
         let mut scenario = Self::default();
         scenario.set_number(number)?;
@@ -411,6 +414,9 @@ impl Scenario {
     }
 
     /// Puts the first obstacle where Scenario 1 or 2 has it; all else stays.
+    ///
+    /// # Errors
+    /// The number is neither 1 nor 2.
     pub fn set_number(&mut self, number: u8) -> Result<(), ScenarioError> {
         let position = match number {
             1 => Vector2::new(0.50, 0.30),
@@ -440,6 +446,9 @@ impl Scenario {
     }
 
     /// Reads a TOML file; keys that it leaves out keep the paper's values.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no scenario: the error names the key.
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ScenarioError::Read { path: path.into(), source })?;
@@ -448,6 +457,9 @@ impl Scenario {
     }
 
     /// Parses and checks a TOML text.
+    ///
+    /// # Errors
+    /// The text is no scenario, or a value is refused: the error names the key.
     pub fn from_toml(text: &str) -> Result<Self, anyhow::Error> {
         let scenario: Self = toml::from_str(text).map_err(|error| match check::renamed(text) {
             Some(renamed) => anyhow::Error::from(renamed),

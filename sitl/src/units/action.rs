@@ -78,6 +78,9 @@ impl TxPower {
     }
 
     /// The power with this level, which must be 1 or 4.
+    ///
+    /// # Errors
+    /// The level is neither 1 nor 4.
     pub fn from_level(level: f32) -> Result<Self, NoSuchPower> {
         Self::ALL.into_iter().find(|p| p.level() == f64::from(level)).ok_or(NoSuchPower(level))
     }

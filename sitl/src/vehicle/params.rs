@@ -324,6 +324,9 @@ pub enum ParamError {
 
 impl Vehicle {
     /// A vehicle that boots with these parameters: those that take effect at boot, too.
+    ///
+    /// # Errors
+    /// There is no parameter of this name, or it refuses the value.
     pub fn boot(
         scenario: &Scenario,
         seed: u64,

@@ -86,6 +86,9 @@ fn rgb(n: usize) -> String {
 }
 
 /// Runs `gcs report`.
+///
+/// # Errors
+/// A model, a policy or the sweep's folder cannot be read, a flight fails, or the report cannot be written.
 pub fn run(args: &Report) -> Result<()> {
     let out = match (&args.out, args.what.as_str()) {
         (Some(out), _) => out.clone(),

@@ -121,6 +121,9 @@ fn in_gusts(mut scenario: Scenario) -> Scenario {
 }
 
 /// Flies both scenarios by these controllers; in Scenario 2 each flies in gusts, too, so many times.
+///
+/// # Errors
+/// No policy fits a controller and scenario, a flight fails, or a signal stops the flights.
 pub fn fly(
     models: &Models,
     controllers: &[Controller],
@@ -267,6 +270,9 @@ impl Flown {
     }
 
     /// Adds a section, and leaves the figures in `dir`.
+    ///
+    /// # Errors
+    /// A figure cannot be drawn, or a file cannot be written: the error names it.
     pub fn show(&self, page: &mut Page, dir: &Path) -> Result<()> {
         let number = self.number;
         page.section(&format!("Scenario {number}: paths, SNR and risk"));

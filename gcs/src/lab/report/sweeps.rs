@@ -172,6 +172,9 @@ impl Finished {
     }
 
     /// Adds a section, and leaves figures and tables in `dir`.
+    ///
+    /// # Errors
+    /// A figure cannot be drawn, or a file cannot be written: the error names it.
     pub fn show(&self, page: &mut Page, dir: &Path, words: &str) -> Result<()> {
         let plan = &self.folder.plan;
         page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axis));

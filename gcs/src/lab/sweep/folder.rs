@@ -48,6 +48,9 @@ pub enum Progress {
 impl Folder {
     /// Begins a folder, or resumes one of the same plan and shard, at whatever revision it was begun: the plan
     /// names all that decides the numbers.
+    ///
+    /// # Errors
+    /// The folder holds another sweep or shard, or cannot be read or written.
     pub fn begin(dir: &Path, plan: SweepPlan, shard: Shard) -> Result<Self> {
         let folder = Self { dir: dir.into(), plan, shard, revision: crate::revision().into() };
         if folder.path("sweep.toml").exists() {
@@ -69,6 +72,9 @@ impl Folder {
     }
 
     /// Opens a folder as it is.
+    ///
+    /// # Errors
+    /// The folder has no `sweep.toml`, or the file cannot be parsed, or was changed after it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let path = dir.join("sweep.toml");
         let name = path.display();
@@ -89,6 +95,9 @@ impl Folder {
     }
 
     /// What is there already.
+    ///
+    /// # Errors
+    /// A file cannot be read, another process holds the journal, or an episode does not belong to the plan.
     pub fn progress(&self) -> Result<Progress> {
         if let Some(episodes) = self.finished()? {
             return Ok(Progress::Finished(episodes));
@@ -99,6 +108,9 @@ impl Folder {
     }
 
     /// All episodes, if the sweep is finished.
+    ///
+    /// # Errors
+    /// `episodes.csv` cannot be read, is not complete, or has an episode that does not belong to the plan.
     pub fn finished(&self) -> Result<Option<Vec<SweepEpisode>>> {
         let path = self.path("episodes.csv");
         let table = match std::fs::read(&path) {
@@ -113,6 +125,9 @@ impl Folder {
     }
 
     /// Writes the results; `episodes.csv` comes last, and says that all is there.
+    ///
+    /// # Errors
+    /// An episode is missing, or a file cannot be written: the error names it.
     pub fn finish(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
         let episodes = self.in_order(episodes)?;
         self.write("points.csv", table::csv(&self.plan, &table::rows(&self.plan, &episodes)).as_bytes())?;

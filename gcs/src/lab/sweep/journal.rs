@@ -24,6 +24,9 @@ pub struct Journal {
 
 impl Journal {
     /// Opens or begins a journal, and gives the episodes that stand in it.
+    ///
+    /// # Errors
+    /// The file cannot be opened, read, cut or written, another process holds it, or a line is no episode.
     pub fn open(path: &Path) -> Result<(Self, Vec<SweepEpisode>)> {
         let name = path.display();
         let mut file = OpenOptions::new()
@@ -49,12 +52,18 @@ impl Journal {
     }
 
     /// Writes an episode down, in one write.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn add(&self, episode: &SweepEpisode) -> Result<()> {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         file.write_all(&episode.line()).with_context(|| format!("writing {}", self.path.display()))
     }
 
     /// Removes the journal, once its episodes stand elsewhere.
+    ///
+    /// # Errors
+    /// The file cannot be removed.
     pub fn remove(self) -> Result<()> {
         std::fs::remove_file(&self.path).with_context(|| format!("removing {}", self.path.display()))
     }

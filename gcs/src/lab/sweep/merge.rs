@@ -22,6 +22,9 @@ pub struct Merge {
 }
 
 /// Runs `gcs merge`.
+///
+/// # Errors
+/// The shards are not those of one sweep, one of them is not finished, or a file cannot be read or written.
 pub fn run(args: &Merge) -> Result<()> {
     let folders = args.shards.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>>>()?;
     check(&folders)?;

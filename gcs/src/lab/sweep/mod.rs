@@ -76,6 +76,9 @@ pub struct Sweep {
 }
 
 /// Runs `gcs sweep`.
+///
+/// # Errors
+/// The config, a model or a policy cannot be read, a flight fails, or the folder cannot be read or written.
 pub fn run(args: &Sweep) -> Result<()> {
     if let Some(threads) = args.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
@@ -142,6 +145,9 @@ fn default_folder(name: &str, shard: Shard) -> PathBuf {
 }
 
 /// Flies what is missing, writes the results, and gives all episodes in order.
+///
+/// # Errors
+/// A flight fails, a signal stops the sweep, or a file of the folder cannot be read or written.
 pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<SweepEpisode>> {
     let (journal, mut episodes) = match folder.progress()? {
         Progress::Finished(episodes) => return Ok(episodes),
@@ -210,6 +216,9 @@ fn fly(
 }
 
 /// Prints the rows, for people or programs.
+///
+/// # Errors
+/// A row cannot be written as JSON.
 pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()> {
     let rows: Vec<TableRow> = table::rows(&folder.plan, episodes);
     if json {

@@ -135,12 +135,18 @@ pub struct SweepPlan {
 
 impl SweepFile {
     /// Reads a file. Errors name it.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no sweep: the error names the key.
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("reading {}", path.display()))
     }
 
     /// Parses the text of a file.
+    ///
+    /// # Errors
+    /// The text is no sweep: the error names the key.
     pub fn parse(text: &str) -> Result<Self> {
         Ok(toml::from_str(text)?)
     }
@@ -200,6 +206,9 @@ impl SweepPlan {
     }
 
     /// The scenario in which `axis` has the value `x`.
+    ///
+    /// # Errors
+    /// The scenario has no number of this name, or refuses the value.
     pub fn scenario_at(&self, x: f64) -> Result<Scenario> {
         let axis = &self.axis;
         let mut root = toml::Value::try_from(&self.scenario)?;
@@ -222,11 +231,17 @@ impl SweepPlan {
     }
 
     /// Names the plan: FNV-1a of all that decides the result.
+    ///
+    /// # Errors
+    /// The plan cannot be written as TOML.
     pub fn hash(&self) -> Result<String> {
         Ok(fingerprint(toml::to_string(self)?.as_bytes()))
     }
 
     /// The first key in which two plans differ, with both values.
+    ///
+    /// # Errors
+    /// A plan cannot be written as TOML.
     pub fn difference(&self, other: &Self) -> Result<Option<String>> {
         let (ours, theirs) = (toml::Table::try_from(self)?, toml::Table::try_from(other)?);
         Ok(difference("", &ours, &theirs))

@@ -19,6 +19,9 @@ const HEAD: usize = 8192;
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Listens on `address`; gives the address with the port that the system chose, and the requests.
+///
+/// # Errors
+/// The address cannot be bound.
 pub async fn listen(address: SocketAddr) -> Result<(SocketAddr, mpsc::Receiver<Scrape>)> {
     let listener = TcpListener::bind(address).await.with_context(|| format!("--metrics {address}"))?;
     let local = listener.local_addr().context("reading the address of --metrics")?;

@@ -56,6 +56,9 @@ pub struct Bridge {
 const SAVE: Duration = Duration::from_secs(1);
 
 /// Routes until Ctrl-C, then prints the counters.
+///
+/// # Errors
+/// An endpoint cannot be opened, the key's file cannot be read or written, or the log cannot be written.
 pub async fn run(args: Bridge) -> Result<()> {
     let mut hub = Hub::default();
     if let Some(path) = &args.signing_key {

@@ -25,6 +25,9 @@ pub struct LinkSigner {
 
 impl LinkSigner {
     /// The key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
+    ///
+    /// # Errors
+    /// The file cannot be read or written, or holds no key.
     pub fn open(path: &Path) -> Result<Self> {
         let store = Store::new(path);
         let signing = store.load(Policy::Required)?;
@@ -71,6 +74,9 @@ impl LinkSigner {
     }
 
     /// Saves the timestamps; `end`: no later ones follow.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn save(&self, end: bool) -> Result<()> {
         Ok(self.store.save(&self.signing, end)?)
     }

@@ -46,6 +46,9 @@ impl MissionPlan {
     }
 
     /// Writes the file: a plan if its name ends so, else WPL.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let is_plan = path.extension().is_some_and(|end| end == "plan");
         let text = if is_plan { self.to_plan() } else { self.to_wpl() };
@@ -112,6 +115,9 @@ fn simple_item(k: usize, item: &Item) -> Value {
 }
 
 /// Reads a file of either kind.
+///
+/// # Errors
+/// The file cannot be read, or is no mission: the error names the line or the key.
 pub fn read(path: &Path) -> Result<MissionPlan> {
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     parse(&text).with_context(|| path.display().to_string())

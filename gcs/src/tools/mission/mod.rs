@@ -48,6 +48,9 @@ enum MissionAction {
 }
 
 /// Does what was asked and prints it.
+///
+/// # Errors
+/// The file cannot be read or written, no vehicle answers, or the vehicle refuses the mission.
 pub async fn run(args: Missions) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let plan = match &args.action {

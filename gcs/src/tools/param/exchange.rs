@@ -179,6 +179,9 @@ pub struct Read {
 
 impl Read {
     /// Of this system and component.
+    ///
+    /// # Errors
+    /// The name is empty, has more than 16 bytes, or a character that is not visible ASCII.
     pub fn new(name: String, target: (u8, u8), encoding: Encoding) -> Result<Self, NoName> {
         checked(&name)?;
         Ok(Self { name, target, encoding, question: Question::default() })
@@ -244,6 +247,9 @@ pub struct Set {
 
 impl Set {
     /// Sets `param`, whose type is known, to `value`.
+    ///
+    /// # Errors
+    /// The encoding cannot carry the value exactly.
     pub fn new(param: &Param, value: Number, target: (u8, u8), encoding: Encoding) -> Result<Self, NoNumber> {
         let message = ParamSet {
             value: value.encode(encoding)?,

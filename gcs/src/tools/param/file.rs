@@ -20,6 +20,9 @@ pub struct Line {
 }
 
 /// Reads a file of either kind.
+///
+/// # Errors
+/// The file cannot be read, a line is no parameter, or there is none.
 pub fn read(path: &Path) -> Result<Vec<Line>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     let lines = parse(&text).with_context(|| path.display().to_string())?;
@@ -50,6 +53,9 @@ fn parse(text: &str) -> Result<Vec<Line>> {
 }
 
 /// Writes all; QGroundControl's columns if the file's name ends so.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn write(path: &Path, params: &[Param], (system, component): (u8, u8)) -> Result<()> {
     let columns = path.extension().is_some_and(|end| end == "params");
     let mut text = String::new();

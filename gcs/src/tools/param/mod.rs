@@ -63,6 +63,9 @@ enum ParamAction {
 }
 
 /// Does what was asked and prints it.
+///
+/// # Errors
+/// The file cannot be read or written, no vehicle answers, or the vehicle refuses a name or a value.
 pub async fn run(args: Params) -> Result<()> {
     // What is wrong with the file is said before anybody is asked.
     let wanted = match &args.action {

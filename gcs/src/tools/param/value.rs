@@ -115,6 +115,9 @@ impl Number {
     }
 
     /// What a person wrote, for a parameter of this kind. `3.0` is a whole number.
+    ///
+    /// # Errors
+    /// The text is no finite number, or has a fraction or lies outside the range of a whole-numbered kind.
     pub fn parse(text: &str, kind: Kind) -> Result<Self, NoNumber> {
         let number = || NoNumber::Text(text.into());
         let real: f64 = text.trim().parse().map_err(|_| number())?;
@@ -158,6 +161,9 @@ impl Number {
     }
 
     /// The field's bytes.
+    ///
+    /// # Errors
+    /// The encoding is a float, which cannot carry this whole number exactly.
     pub fn encode(self, encoding: Encoding) -> Result<[u8; 4], NoNumber> {
         match (self, encoding) {
             (Self::Real(value), _) => Ok(value.to_le_bytes()),

@@ -197,6 +197,9 @@ impl Signing {
     }
 
     /// Checks a frame. Only a frame that is good changes any timestamp.
+    ///
+    /// # Errors
+    /// The frame is rejected: the reason is the error.
     pub fn check(&mut self, packet: &Packet, now: u64) -> Result<Origin, Rejection> {
         let checked = self.examine(packet, now);
         match checked {
@@ -365,6 +368,9 @@ impl Store {
     }
 
     /// Key and timestamps; if there is no file, the key of `shared` alone.
+    ///
+    /// # Errors
+    /// A file cannot be read, or does not hold what a key's file holds.
     pub fn load_or(&self, shared: &Self, policy: Policy) -> Result<Signing, StoreError> {
         if self.path.exists() {
             return self.load(policy);
@@ -374,6 +380,9 @@ impl Store {
     }
 
     /// Key and timestamps; no key if there is no file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or does not hold what a key's file holds.
     pub fn load(&self, policy: Policy) -> Result<Signing, StoreError> {
         let text = match std::fs::read_to_string(&self.path) {
             Ok(text) => text,
@@ -395,6 +404,12 @@ impl Store {
     }
 
     /// Writes key and timestamps; `clean` at the program's end.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    ///
+    /// # Panics
+    /// Does not happen: numbers and strings fit into TOML.
     pub fn save(&self, signing: &Signing, clean: bool) -> Result<(), StoreError> {
         let content = Content {
             key: signing.key.as_ref().map(|key| to_hex(&key.0)),

@@ -132,11 +132,17 @@ impl Hub {
     }
 
     /// Opens an endpoint; gives it with the port that the system chose, as one line to print.
+    ///
+    /// # Errors
+    /// The address cannot be resolved, bound or reached: the error names the endpoint.
     pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
         self.open_on(endpoint, LinkSide::Tools).await
     }
 
     /// The same on a side; with [`Hub::sign_vehicle_side`], call that first.
+    ///
+    /// # Errors
+    /// The address cannot be resolved, bound or reached: the error names the endpoint.
     pub async fn open_on(&mut self, endpoint: &Endpoint, side: LinkSide) -> Result<String> {
         let index = self.links.add(endpoint).await?;
         self.sides.push(side);
@@ -191,6 +197,9 @@ impl Hub {
     }
 
     /// Signs all packets of this program and accepts only signed ones, with the key in a file.
+    ///
+    /// # Errors
+    /// The file cannot be read or written, or holds no key.
     pub fn sign_with(&mut self, path: &Path) -> Result<()> {
         self.signer = Some(LinkSigner::open(path)?);
         Ok(())
@@ -198,6 +207,9 @@ impl Hub {
 
     /// Signs all packets to the vehicle's side and accepts only signed ones from there, with the key in a file.
     /// The tools need no key.
+    ///
+    /// # Errors
+    /// The file cannot be read or written, or holds no key.
     pub fn sign_vehicle_side(&mut self, path: &Path) -> Result<()> {
         self.vehicle_signer = Some(LinkSigner::open(path)?);
         Ok(())
