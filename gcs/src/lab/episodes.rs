@@ -1,4 +1,4 @@
-//! Many flights in process on consecutive seeds, every picture rendered and encoded, controllers
+//! Many flights in process on consecutive seeds, every frame rendered and encoded, controllers
 //! paired by the same gusts.
 
 use anyhow::Result;

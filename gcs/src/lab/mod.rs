@@ -30,7 +30,7 @@ use crate::station::pilot::crpl::Crpl;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
 
-/// Flies `ticks` control intervals, pictures rendered and encoded at each, or up to the fall after a
+/// Flies `ticks` control intervals, frames rendered and encoded at each, or up to the fall after a
 /// collision.
 pub fn fly(sim: &mut Sim, station: &mut Station, ticks: u64) {
     for _ in 0..ticks {

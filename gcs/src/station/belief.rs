@@ -1,6 +1,6 @@
-//! What the station believes: the latents of the last pictures, and what became of its commands.
+//! What the station believes: the latents of the last frames, and what became of its commands.
 //!
-//! The latents come from pictures, and their speed from the actions that the vehicle says it flew, by
+//! The latents come from frames, and their speed from the actions that the vehicle says it flew, by
 //! the learned predictor; the ledger from those reports alone. Neither knows the vehicle's position.
 
 use std::collections::BTreeMap;
@@ -20,14 +20,14 @@ use super::seen::{BeliefConfig, Heard};
 /// Missed percepts beyond which the gap's length no longer matters: longer than any window.
 const MAX_MISSED: u64 = 100;
 
-/// What the observer makes of the last pictures, in plane coordinates.
+/// What the observer makes of the last frames, in plane coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Latents {
-    /// y_c at the newest picture.
+    /// y_c at the newest frame.
     pub y_c: [f32; 2],
     /// y_c one interval earlier.
     pub y_c_before: [f32; 2],
-    /// y_u of each obstacle at the newest picture; at most [`COLOURS`] are told apart.
+    /// y_u of each obstacle at the newest frame; at most [`COLOURS`] are told apart.
     pub y_u: PerObstacle<[f32; 2]>,
 }
 
@@ -43,9 +43,9 @@ impl Latents {
 #[derive(Debug, Clone)]
 pub struct Belief {
     controllable: LatentObserver,
-    /// Of each obstacle that the pictures tell apart.
+    /// Of each obstacle that the frames tell apart.
     uncontrollable: Vec<LatentObserver>,
-    /// Report that came with the newest picture.
+    /// Report that came with the newest frame.
     newest: Option<Heard>,
     latents: Latents,
     config: BeliefConfig,
@@ -91,7 +91,7 @@ impl Belief {
         self.ledger.hear(heard);
     }
 
-    /// Normalised accelerations of the intervals since the newest picture, oldest first: what the
+    /// Normalised accelerations of the intervals since the newest frame, oldest first: what the
     /// vehicle says it flew, not what was sent. A command is flown from its own tick on.
     fn flown(&self, heard: &Heard) -> Vec<Vector2<f64>> {
         let Some(before) = self.newest else { return Vec::new() };
@@ -106,7 +106,7 @@ impl Belief {
             .collect()
     }
 
-    /// The newest latents; zeros before the first picture.
+    /// The newest latents; zeros before the first frame.
     #[must_use]
     pub fn latents(&self) -> Latents {
         self.latents

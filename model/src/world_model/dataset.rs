@@ -20,7 +20,7 @@ use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 /// Name of the dataset's file.
 pub const EPISODES: &str = "episodes.safetensors";
 
-/// Speed of the obstacle in training data, units per interval (our choice).
+/// Speed of the obstacle in training data, units per interval (Sec. IV-A1).
 pub const OBSTACLE_SPEED: f64 = 0.0125;
 
 /// Largest speed with which an episode begins, units per interval (our choice).

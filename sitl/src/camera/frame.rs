@@ -29,13 +29,13 @@ impl std::fmt::Debug for Frame {
 }
 
 impl Frame {
-    /// A black picture.
+    /// A black frame.
     #[must_use]
     pub fn black() -> Self {
         Self { bytes: vec![0; SIDE * SIDE * CHANNELS] }
     }
 
-    /// The picture with these bytes, or `None` if there are not 100·100·3 of them.
+    /// The frame with these bytes, or `None` if there are not 100·100·3 of them.
     #[must_use]
     pub fn from_rgb(bytes: Vec<u8>) -> Option<Self> {
         (bytes.len() == SIDE * SIDE * CHANNELS).then_some(Self { bytes })
@@ -54,7 +54,7 @@ impl Frame {
         [self.bytes[at], self.bytes[at + 1], self.bytes[at + 2]]
     }
 
-    /// A picture of UAV and two obstacles as two pictures of UAV and one: each obstacle in blue, as an
+    /// A frame of UAV and two obstacles as two frames of UAV and one: each obstacle in blue, as an
     /// encoder of one obstacle knows it. In the scenario's order.
     #[must_use]
     pub fn one_obstacle_each(&self) -> [Self; COLOURS] {

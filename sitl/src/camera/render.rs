@@ -1,6 +1,6 @@
 //! Draws the clean frame: black background, a blue obstacle and a red UAV drawn over it. A
 //! second obstacle is green, and where two overlap both colours show. A third and further ones are
-//! blue too: [`COLOURS`](super::COLOURS) obstacles are as many as a picture tells apart.
+//! blue too: [`COLOURS`](super::COLOURS) obstacles are as many as a frame tells apart.
 //!
 //! Discs have a soft rim and are area-preserving: the sum of a disc's coverage does not depend on
 //! where it falls between the pixels, so its centre of mass is exact. Row = paper y, column = paper

@@ -147,7 +147,7 @@ impl Packet {
     }
 }
 
-/// The longest packet that is kept without an allocation: all but pictures, texts and parameters' files.
+/// The longest packet that is kept without an allocation: all but frames, texts and parameters' files.
 const SHORT: usize = 64;
 
 /// A packet's bytes.

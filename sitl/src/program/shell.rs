@@ -32,7 +32,7 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 /// Datagrams that are handled before timers and sending have their turn.
 const BATCH: usize = 64;
 
-/// A vehicle's links. A station that does not read for some seconds of pictures is closed: it is to see
+/// A vehicle's links. A station that does not read for some seconds of frames is closed: it is to see
 /// the present. The vehicle keeps its own list of who speaks by UDP.
 pub const LINKS: LinkOptions =
     LinkOptions { backlog: Backlog::Close(1 << 20), connects_later: false, max_streams: 16, udp_peers: None };

@@ -93,6 +93,6 @@ impl Telemetry {
 pub struct Percept {
     /// The numbers.
     pub telemetry: Telemetry,
-    /// The picture.
+    /// The frame.
     pub frame: Arc<Frame>,
 }

@@ -53,7 +53,7 @@ pub struct Scenario {
     pub scale: Scale,
     /// What the camera draws.
     pub camera: Camera,
-    /// How the ground station tells place and speed from pictures.
+    /// How the ground station tells place and speed from frames.
     pub observer: Observer,
     /// What the vehicle does when it hears nothing.
     pub failsafe: Failsafe,
@@ -243,7 +243,7 @@ pub enum Rule {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Observer {
-    /// M, pictures from which place and speed are told; 2 is their difference (our choice).
+    /// M, frames from which place and speed are told; 2 is their difference (our choice).
     pub window: u64,
 }
 

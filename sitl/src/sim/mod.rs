@@ -205,7 +205,7 @@ impl Sim {
         }
     }
 
-    /// The picture at the start of this tick.
+    /// The frame at the start of this tick.
     #[must_use]
     pub fn frame(&self) -> Frame {
         let clean = self.world.frame(&self.scenario);
@@ -213,7 +213,7 @@ impl Sim {
         self.scenario.camera.effects.apply(clean, id, &self.noise)
     }
 
-    /// Report and picture together.
+    /// Report and frame together.
     #[must_use]
     pub fn percept(&self) -> Percept {
         Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()) }

@@ -23,7 +23,7 @@ const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
 const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
-/// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole picture.
+/// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole frame.
 pub(super) const IMAGE: f32 = 130.0;
 const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 

@@ -20,7 +20,7 @@
 //! | `streams` | what is sent unasked: heartbeats, percepts, streams, texts |
 //!
 //! Each peer has its own sequence numbers, as each link of an autopilot has. Reports go to every
-//! peer that has spoken; pictures to those that asked for them by the image protocol.
+//! peer that has spoken; frames to those that asked for them by the image protocol.
 
 #![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
 
@@ -105,7 +105,7 @@ pub struct Vehicle {
     now: Duration,
     /// `now` at the last control interval.
     advanced: Duration,
-    /// This tick's picture, once somebody wanted it.
+    /// This tick's frame, once somebody wanted it.
     png: Option<Vec<u8>>,
     /// How often this tick's percept has been sent to all.
     sendings: usize,
@@ -201,7 +201,7 @@ struct Peer {
     decoder: Decoder,
     autopilot: Encoder,
     radio: Encoder,
-    /// Pictures: with each so many control intervals.
+    /// Frames: with each so many control intervals.
     images: Option<u64>,
     rates: Rates,
     /// Named by configuration: never makes room for others.

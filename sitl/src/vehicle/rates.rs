@@ -8,7 +8,7 @@
 //! | a percept's message, at -1 | DENIED: it goes with every control interval |
 //! | a percept's message, faster than the control interval | ACCEPTED: beside the percept |
 //! | a percept's message, slower | ACCEPTED: the percept has it as often already |
-//! | DATA_TRANSMISSION_HANDSHAKE (130) | pictures: 0 with every control interval, -1 none, else at least so far apart |
+//! | DATA_TRANSMISSION_HANDSHAKE (130) | frames: 0 with every control interval, -1 none, else at least so far apart |
 //! | HEARTBEAT | ACCEPTED at 0 and 1 s, else DENIED |
 //! | GET_MESSAGE_INTERVAL | MESSAGE_INTERVAL (us, -1 for none), then ACCEPTED; unknown: 0, then DENIED |
 //! | REQUEST_MESSAGE | ACCEPTED, then the message; unknown: DENIED; the radio's before tick 1: TEMPORARILY_REJECTED |
@@ -156,7 +156,7 @@ impl Vehicle {
         MavResult::MAV_RESULT_ACCEPTED
     }
 
-    /// The rate of pictures: with every control interval, or with each so many.
+    /// The rate of frames: with every control interval, or with each so many.
     fn set_image_interval(&mut self, us: f32, control: Duration, from: PeerId) -> MavResult {
         let every = match us {
             0.0 => Some(1),

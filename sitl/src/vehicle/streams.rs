@@ -116,13 +116,13 @@ impl Vehicle {
         self.outbox.push_back((address, report));
     }
 
-    /// Whether a peer gets the picture of this tick.
+    /// Whether a peer gets the frame of this tick.
     fn picture_is_due(&self, address: PeerId) -> bool {
         let every = self.peers.get(&address).and_then(|peer| peer.images);
         every.is_some_and(|every| self.sim.tick().0.is_multiple_of(every))
     }
 
-    /// Sends this tick's picture to one peer.
+    /// Sends this tick's frame to one peer.
     pub(super) fn send_image(&mut self, address: PeerId) {
         for index in 0..image::datagram_count(self.png()) {
             let datagram = self.image_datagram(address, index);
@@ -188,12 +188,12 @@ impl Vehicle {
         image::datagram(png, index, &mut peer.autopilot)
     }
 
-    /// This tick's picture, encoded once.
+    /// This tick's frame, encoded once.
     fn png(&mut self) -> &[u8] {
         let sim = &self.sim;
         self.png.get_or_insert_with(|| {
             image::png_from_frame(&sim.frame(), sim.tick())
-                .expect("a frame has the picture's size and memory takes every byte")
+                .expect("a frame has the frame's size and memory takes every byte")
         })
     }
 }

@@ -1,8 +1,8 @@
 //! The vehicle as the ground station hears it: datagrams to percepts, commands to datagrams.
 //!
 //! A state machine without socket and clock. A percept is handed out once, when its report and its
-//! picture are both there, in the order of ticks; parts that came before a repeat are kept, so a
-//! path that loses datagrams only delays. Stamps and the picture's own tick keep late parts of
+//! frame are both there, in the order of ticks; parts that came before a repeat are kept, so a
+//! path that loses datagrams only delays. Stamps and the frame's own tick keep late parts of
 //! earlier ticks out.
 
 use std::sync::Arc;
@@ -68,7 +68,7 @@ const REBOOT: u32 = 3;
 /// ArduCopter's mode BRAKE, and MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
 const BRAKE: [f32; 2] = [1.0, 17.0];
 
-/// Repeats without a new percept after which the pictures are asked for again.
+/// Repeats without a new percept after which the frames are asked for again.
 const PICTURES_MISSING: u32 = 5;
 
 impl Remote {
@@ -165,7 +165,7 @@ impl Remote {
         datagram
     }
 
-    /// What to send when something is missing: the newest command, and the request for pictures if
+    /// What to send when something is missing: the newest command, and the request for frames if
     /// they do not flow. Every other time twice: a path that loses each n-th datagram must not lose
     /// the same one for ever.
     pub fn repeat(&mut self) -> Vec<Vec<u8>> {
@@ -220,7 +220,7 @@ impl Remote {
         datagram
     }
 
-    /// The request for a stream of pictures.
+    /// The request for a stream of frames.
     pub fn image_request(&mut self) -> Vec<u8> {
         let mut datagram = Vec::new();
         image::push_request(&mut self.station, &mut datagram);

@@ -118,7 +118,7 @@ pub struct SweepPlan {
     pub episodes: u64,
     /// The first of so many consecutive seeds.
     pub first_seed: u64,
-    /// Fingerprint of the world model that encodes the pictures.
+    /// Fingerprint of the world model that encodes the frames.
     pub world_model: String,
     /// Fingerprint of the policies of all points.
     pub policy: String,

@@ -1,5 +1,5 @@
-//! Latents without an encoder: what the pictures of the true positions would give if encoding had no
-//! error. CRPL on them shows, beside CRPL on pictures, what the encoder costs in closed loop.
+//! Latents without an encoder: what the frames of the true positions would give if encoding had no
+//! error. CRPL on them shows, beside CRPL on frames, what the encoder costs in closed loop.
 
 use std::sync::Arc;
 

@@ -3,7 +3,7 @@
 //! `crpl-bw`'s.
 //!
 //! What it gains on a policy that was optimised once: it plans for the gusts that there were, and for
-//! obstacles that move, one or two, whose speed it reads from the pictures.
+//! obstacles that move, one or two, whose speed it reads from the frames.
 
 use anyhow::Result;
 use crpl_model::planning::config::OptimiseConfig;

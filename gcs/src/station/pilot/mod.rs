@@ -41,7 +41,7 @@ use reactive::Present;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Controller {
-    /// Predictive control in latent space, from pictures alone
+    /// Predictive control in latent space, from frames alone
     Crpl,
     /// CRPL with the power that the bandwidth needs
     CrplBw,

@@ -1,8 +1,8 @@
-//! An obstacle's speed from its last pictures: latents in, latents per interval out.
+//! An obstacle's speed from its last frames: latents in, latents per interval out.
 
 use crpl_sitl::units::Tick;
 
-/// Pictures from which the speed is read.
+/// Frames from which the speed is read.
 const WINDOW: usize = 8;
 
 /// A step against the former speed, this large beside it, is a turn and no noise of the encoder.
