@@ -205,7 +205,7 @@ async fn fly(args: Fly) -> Result<()> {
         ..Options::default()
     };
     let foreign = args.vehicle.foreign();
-    let (session, scenario) = match foreign {
+    let (mut session, scenario) = match foreign {
         Some(_) => (None, Scenario::named(args.scenario.as_deref().unwrap_or("foreign"))?),
         None => {
             // What is wrong with the file is said before anybody is asked.
@@ -216,7 +216,15 @@ async fn fly(args: Fly) -> Result<()> {
             (Some(session), scenario)
         }
     };
-    policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?;
+    if policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?
+        && let Some(old) = session.take()
+    {
+        // The link has been left alone meanwhile: what waits in it is old.
+        old.close().await;
+        let mut again = options.find(&args.connect).await?;
+        world::agree(&mut again, Some(scenario.clone())).await?;
+        session = Some(again);
+    }
     let station = models.station(args.controller, &scenario)?;
     let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
     let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;

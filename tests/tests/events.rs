@@ -180,7 +180,7 @@ fn gcs_bridge_on_a_full_disk_goes_on_routing() {
     command.args(["bridge", "--connect", &format!("udpout:{address}"), "--forward", "udpin:127.0.0.1:0"]);
     command.arg("--tlog").arg(&tlog);
     let bridge = Program::spawn("gcs bridge", command).unwrap();
-    let forward = bridge.line("listening on udpin:").unwrap();
+    let forward = bridge.line("forward: listening on udpin:").unwrap();
     let connect = format!("udpout:{forward}");
     let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
     program::run("gcs", &fly).unwrap().good().unwrap();

@@ -3,7 +3,8 @@
 //! Algorithm 1 sees latents and smooth stand-ins of the constraints alone. Here the pair of policies
 //! flies the same loop as every other flight (frames rendered and encoded, commands through the radio),
 //! and the flights that keep each constraint are counted: P_safe is the share of flights without a
-//! collision, P_comm the share of flights whose SNR, at the executed powers, never falls below γ_min.
+//! collision, P_comm the share of flights whose SNR, at the executed powers, never falls below what a packet needs,
+//! max(γ_min, 2^(L/(B Δt)) - 1).
 
 use std::sync::Arc;
 
@@ -200,8 +201,7 @@ impl End {
         let needed = scope::required_snr(scenario);
         let d_f = records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm());
         Self {
-            // p_coll exceeds one half exactly where the clearance is below d_min.
-            clear: records.iter().all(|r| r.p_coll <= 0.5),
+            clear: records.iter().all(|r| !r.collided),
             connected: records.iter().all(|r| Snr::from_db(f64::from(r.snr_db)).0 >= needed * (1.0 - F32)),
             reached: d_f <= scenario.goal_radius,
             outages: records.iter().filter(|r| r.outage).count(),

@@ -21,7 +21,7 @@ const SEED: u64 = 1;
 
 /// Sees to it that the policies which `controllers` fly cover `scenario`: where none does, Algorithm 1 runs
 /// for this scenario, if `optimise` says so or a person at the terminal does, and its result is kept in the
-/// cache. Does nothing where a mismatch is allowed.
+/// cache. Does nothing where a mismatch is allowed. Gives whether Algorithm 1 has run, which takes its time.
 ///
 /// # Errors
 /// Nobody wants an optimisation: the difference to the nearest policy. A scenario that Algorithm 1 cannot plan
@@ -31,9 +31,9 @@ pub fn cover(
     controllers: &[Controller],
     scenario: &Scenario,
     optimise: bool,
-) -> Result<()> {
+) -> Result<bool> {
     if !controllers.iter().any(|c| c.flies_policies()) || models.mismatch == MismatchRule::Allow {
-        return Ok(());
+        return Ok(false);
     }
     if let Err(refusal) = models.policies(scenario, PolicyUse::Fly) {
         // No optimisation mends a scenario that no crpl controller can fly, or a file that was given.
@@ -45,8 +45,9 @@ pub fn cover(
         }
         let path = optimised(models, scenario)?;
         eprintln!("policies for {:?} are kept in {}", scenario.name, path.display());
+        return Ok(true);
     }
-    Ok(())
+    Ok(false)
 }
 
 /// Asks a person whether to optimise; nobody is asked where input or log is not a terminal.

@@ -26,6 +26,10 @@ pub const GAIN_WIDTHS: [usize; 4] = [4, 64, 64, 1];
 /// standard deviation 1/√12.
 const STATION_SCALE: f32 = 3.464_101_6;
 
+/// Distance to the base station below which the training data's gain levels off, units: a scenario's own floor is
+/// not felt below it.
+const TRAINED_FLOOR: f32 = 0.02;
+
 /// Both heads as they are trained and stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Heads {
@@ -150,6 +154,7 @@ impl StationHeads {
             ("channel.path_loss_exponent", c.path_loss_exponent == trained.channel.path_loss_exponent),
             ("channel.nlos_attenuation", c.nlos_attenuation == trained.channel.nlos_attenuation),
             ("channel.blockage_softness", c.blockage_softness == trained.channel.blockage_softness),
+            ("channel.distance_floor", c.distance_floor <= f64::from(TRAINED_FLOOR)),
         ];
         same.into_iter().filter(|(_, same)| !same).map(|(key, _)| key).collect()
     }

@@ -138,15 +138,17 @@ fn affine_tile<S: Simd, const N: usize>(simd: S, w: &[f32], b: &[f32], x: &[Lane
 
 /// dW += Σ_k Σ_lanes x_k ⊗ dy_k, over consecutive blocks of `inputs` resp. `outputs` lanes.
 pub fn outer(x: &[Lane], inputs: usize, dy: &[Lane], outputs: usize, dw: &mut [f32]) {
-    Arch::new().dispatch(Outer { x, inputs, dy, outputs, dw });
-}
-
-struct Outer<'a> {
-    x: &'a [Lane],
-    inputs: usize,
-    dy: &'a [Lane],
-    outputs: usize,
-    dw: &'a mut [f32],
+    let (x, dy) = (panels(x, inputs), panels(dy, outputs));
+    for (i, x) in (0..inputs).step_by(SQUARE).zip(&x) {
+        for (j, dy) in (0..outputs).step_by(SQUARE).zip(&dy) {
+            let sums = square(x, dy);
+            for (u, cells) in sums.iter().enumerate().take(inputs - i) {
+                for (v, cell) in cells.iter().enumerate().take(outputs - j) {
+                    dw[(i + u) * outputs + j + v] += cell.iter().sum::<f32>();
+                }
+            }
+        }
+    }
 }
 
 /// Sides of the squares in which [`outer`] sums.
@@ -155,45 +157,78 @@ const SQUARE: usize = 4;
 /// Partial sums of a lane: fixed, so that every vector width adds in the same order.
 const PARTIAL: usize = 16;
 
-impl WithSimd for Outer<'_> {
-    type Output = ();
+/// Partial sums of a square's cells.
+type Square = [[[f32; PARTIAL]; SQUARE]; SQUARE];
 
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { x, inputs, dy, outputs, dw } = self;
-        for i in (0..inputs).step_by(SQUARE) {
-            for j in (0..outputs).step_by(SQUARE) {
-                // Past the end a square repeats the last row or column; what it sums there is not kept.
-                let rows: [usize; SQUARE] = std::array::from_fn(|t| (i + t).min(inputs - 1));
-                let columns: [usize; SQUARE] = std::array::from_fn(|t| (j + t).min(outputs - 1));
-                let mut sums = [[[0.0f32; PARTIAL]; SQUARE]; SQUARE];
-                for v in 0..PARTIAL / S::F32_LANES.min(PARTIAL) {
-                    let mut acc = [[simd.splat_f32s(0.0); SQUARE]; SQUARE];
-                    for (xk, dk) in x.chunks_exact(inputs).zip(dy.chunks_exact(outputs)) {
-                        for half in 0..LANES / PARTIAL {
-                            let at = half * (PARTIAL / S::F32_LANES) + v;
-                            for (cells, row) in acc.iter_mut().zip(rows) {
-                                let xv = S::as_simd_f32s(&xk[row]).0[at];
-                                for (cell, column) in cells.iter_mut().zip(columns) {
-                                    let dv = S::as_simd_f32s(&dk[column]).0[at];
-                                    *cell = simd.mul_add_f32s(xv, dv, *cell);
-                                }
-                            }
-                        }
-                    }
-                    for (sums, cells) in sums.iter_mut().zip(acc) {
-                        for (sum, cell) in sums.iter_mut().zip(cells) {
-                            S::as_mut_simd_f32s(sum).0[v] = cell;
-                        }
-                    }
-                }
-                for (u, cells) in sums.iter().enumerate().take(inputs - i) {
-                    for (v, cell) in cells.iter().enumerate().take(outputs - j) {
-                        dw[(i + u) * outputs + j + v] += cell.iter().sum::<f32>();
+/// Blocks of `width` lanes as panels of [`SQUARE`] neighbours, each panel's blocks one behind the other: a square
+/// then reads memory in order. Past the end a panel repeats the last lane; what is summed there is not kept.
+fn panels(blocks: &[Lane], width: usize) -> Vec<Vec<[Lane; SQUARE]>> {
+    let panel = |first: usize| {
+        let lanes = |block: &[Lane]| std::array::from_fn(|t| block[(first + t).min(width - 1)]);
+        blocks.chunks_exact(width).map(lanes).collect()
+    };
+    (0..width).step_by(SQUARE).map(panel).collect()
+}
+
+/// The partial sums of one square, over all blocks of two panels.
+fn square(x: &[[Lane; SQUARE]], dy: &[[Lane; SQUARE]]) -> Square {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx512f") {
+        return square_in_wide_registers(x, dy);
+    }
+    Arch::new().dispatch(SquareKernel { x, dy })
+}
+
+/// [`square`] for registers of [`PARTIAL`] floats, of which there are twice as many: all sums stay in them.
+#[multiversion::multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq"))]
+fn square_in_wide_registers(x: &[[Lane; SQUARE]], dy: &[[Lane; SQUARE]]) -> Square {
+    let mut sums = [[[0.0f32; PARTIAL]; SQUARE]; SQUARE];
+    for (x, dy) in x.iter().zip(dy) {
+        for half in 0..LANES / PARTIAL {
+            for (cells, x) in sums.iter_mut().zip(x) {
+                for (cell, dy) in cells.iter_mut().zip(dy) {
+                    let (x, dy) = (&x[half * PARTIAL..][..PARTIAL], &dy[half * PARTIAL..][..PARTIAL]);
+                    for ((sum, x), dy) in cell.iter_mut().zip(x).zip(dy) {
+                        *sum = x.mul_add(*dy, *sum);
                     }
                 }
             }
         }
+    }
+    sums
+}
+
+struct SquareKernel<'a> {
+    x: &'a [[Lane; SQUARE]],
+    dy: &'a [[Lane; SQUARE]],
+}
+
+impl WithSimd for SquareKernel<'_> {
+    type Output = Square;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Square {
+        let mut sums = [[[0.0f32; PARTIAL]; SQUARE]; SQUARE];
+        for v in 0..PARTIAL / S::F32_LANES.min(PARTIAL) {
+            let mut acc = [[simd.splat_f32s(0.0); SQUARE]; SQUARE];
+            for (x, dy) in self.x.iter().zip(self.dy) {
+                for half in 0..LANES / PARTIAL {
+                    let at = half * (PARTIAL / S::F32_LANES) + v;
+                    for (cells, x) in acc.iter_mut().zip(x) {
+                        let xv = S::as_simd_f32s(x).0[at];
+                        for (cell, dy) in cells.iter_mut().zip(dy) {
+                            *cell = simd.mul_add_f32s(xv, S::as_simd_f32s(dy).0[at], *cell);
+                        }
+                    }
+                }
+            }
+            for (sums, cells) in sums.iter_mut().zip(acc) {
+                for (sum, cell) in sums.iter_mut().zip(cells) {
+                    S::as_mut_simd_f32s(sum).0[v] = cell;
+                }
+            }
+        }
+        sums
     }
 }
 
@@ -275,5 +310,19 @@ mod tests {
             }
         }
         assert_eq!(transpose(&transpose(&w, outputs), inputs), w);
+    }
+
+    #[test]
+    fn every_vector_width_gives_the_same_sums_to_the_last_bit() {
+        let value = |n: usize| ((n * 7919 + 104_729) % 1009) as f32 / 1009.0 - 0.5;
+        let panel = |seed: usize| -> Vec<[Lane; SQUARE]> {
+            let lane =
+                |k: usize, t: usize| -> Lane { std::array::from_fn(|l| value(seed + k * 131 + t * 37 + l)) };
+            (0..50).map(|k| std::array::from_fn(|t| lane(k, t))).collect()
+        };
+        let (x, dy) = (panel(3), panel(11));
+        let narrow = Arch::new().dispatch(SquareKernel { x: &x, dy: &dy });
+        assert_eq!(square_in_wide_registers(&x, &dy), narrow);
+        assert_eq!(square(&x, &dy), narrow);
     }
 }

@@ -36,7 +36,8 @@ pub struct OptimiseConfig {
     pub starts: usize,
     /// Iterations of the warm start: without obstacle, at each displacement, at the true place.
     pub warm_iterations: [usize; 3],
-    /// Displacements of the obstacle along y in the warm start, units, largest first.
+    /// Displacements of the obstacle in the warm start, along the normal of the line from start to goal, units,
+    /// largest first.
     pub displacements: Vec<f64>,
     /// Iterations of stage 1 at each η but the last.
     pub stage1_iterations: usize,

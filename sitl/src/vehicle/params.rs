@@ -610,9 +610,12 @@ pub fn world_of(params: &[(String, f32)]) -> Result<Scenario, NoSuchParameter> {
     Ok(world)
 }
 
-/// The shortest decimal that is the same float: what a division by the scale has left of a typed number.
+/// The shortest decimal within a float's rounding of x: what a division by the scale has left of a typed number.
 fn rounded(x: f64) -> f64 {
-    (x as f32).to_string().parse().unwrap_or(x)
+    let near = |digits: usize| {
+        format!("{x:.digits$e}").parse().ok().filter(|y: &f64| (y - x).abs() <= 1.2e-7 * x.abs())
+    };
+    (0..=8).find_map(near).unwrap_or(x)
 }
 
 /// The rows of the autopilot's table that hold a world's values.
