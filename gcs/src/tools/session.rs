@@ -87,7 +87,7 @@ impl Session {
     /// Opens the link and waits for the vehicle.
     ///
     /// # Errors
-    /// The endpoint or the key's file cannot be opened, or no vehicle is heard in time.
+    /// The endpoint or the key's file cannot be opened, no vehicle is heard in time, or the program is interrupted.
     pub async fn open(link: &LinkFlags) -> Result<Self> {
         let mut hub = Hub::default();
         hub.local();

@@ -117,7 +117,7 @@ fn simple_item(k: usize, item: &Item) -> Value {
 /// Reads a file of either kind.
 ///
 /// # Errors
-/// The file cannot be read, or is no mission: the error names the line or the key.
+/// The file cannot be read, or is no mission: the error names the line or the item.
 pub fn read(path: &Path) -> Result<MissionPlan> {
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     parse(&text).with_context(|| path.display().to_string())
