@@ -1,4 +1,4 @@
-//! Obstacles that move, one to three: CRPL in receding horizon copes with two from pictures alone, in
+//! Obstacles that move, one to three: CRPL in receding horizon copes with two from frames alone, in
 //! process and over UDP; a third one is a TOML.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]

@@ -34,13 +34,13 @@ const KEYWORD: &str = "tick";
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The bytes are no PNG, or damaged.
-    #[error("decoding the picture: {0}")]
+    #[error("decoding the frame: {0}")]
     Png(String),
     /// Another size or pixel format.
-    #[error("the picture is {0}, expected 100x100 RGB of 8 bits")]
+    #[error("the frame is {0}, expected 100x100 RGB of 8 bits")]
     Format(String),
     /// No tick in it.
-    #[error("the picture does not name its tick")]
+    #[error("the frame does not name its tick")]
     NoTick,
 }
 
@@ -334,7 +334,7 @@ mod tests {
         encoder.set_color(png::ColorType::Grayscale);
         encoder.write_header().unwrap().write_image_data(&[0; 200]).unwrap();
         let error = frame_from_png(&bytes).unwrap_err().to_string();
-        assert_eq!(error, "the picture is 10x20 Grayscale Eight, expected 100x100 RGB of 8 bits");
+        assert_eq!(error, "the frame is 10x20 Grayscale Eight, expected 100x100 RGB of 8 bits");
         assert!(frame_from_png(b"no picture").is_err());
     }
 }

@@ -201,7 +201,7 @@ struct Peer {
     decoder: Decoder,
     autopilot: Encoder,
     radio: Encoder,
-    /// Pictures: with each so many control intervals.
+    /// Frames: with each so many control intervals.
     images: Option<u64>,
     rates: Rates,
     /// Named by configuration: never makes room for others.

@@ -193,7 +193,7 @@ impl Vehicle {
         let sim = &self.sim;
         self.png.get_or_insert_with(|| {
             image::png_from_frame(&sim.frame(), sim.tick())
-                .expect("a frame has the picture's size and memory takes every byte")
+                .expect("a frame has the PNG's size and memory takes every byte")
         })
     }
 }

@@ -180,7 +180,7 @@ impl Finished {
         page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axis));
         page.text(&format!(
             "{} flights per point and controller from seed {}, the same gusts for every controller; mean and its \
-             95 % interval. Pictures are rendered and encoded at every step.",
+             95 % interval. Frames are rendered and encoded at every step.",
             self.rows.first().map_or(0, |r| r.episodes),
             plan.first_seed
         ));

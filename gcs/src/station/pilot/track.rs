@@ -2,7 +2,7 @@
 
 use crpl_sitl::units::Tick;
 
-/// Pictures from which the speed is read.
+/// Frames from which the speed is read.
 const WINDOW: usize = 8;
 
 /// A step against the former speed, this large beside it, is a turn and no noise of the encoder.
