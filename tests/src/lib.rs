@@ -4,7 +4,6 @@
 //! The tests themselves lie in `tests/`, what they do in Python in `python/`. Nothing here knows what
 //! a flight is.
 
-#![expect(clippy::missing_errors_doc, reason = "a helper that fails fails its test, which shows the error")]
 #![expect(clippy::disallowed_methods, reason = "whole programs run on the wall's time")]
 
 pub mod fake_autopilot;
