@@ -135,14 +135,16 @@ fn gcs_episodes_refuses_weights_that_are_not_finite_or_absurd() {
     }
 }
 
-/// N8: gamma_min is kept, and the packet's rate is not.
+/// N8: γ_min is kept, and the packet's rate is not.
 #[test]
 fn gcs_check_counts_the_rate_that_the_packet_needs() {
     let folder = tempfile::tempdir().unwrap();
-    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "100"];
+    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "100", "--json"];
     let ended = gcs(folder.path(), &args);
     assert_eq!(ended.status.code(), Some(1), "{}", ended.stdout);
-    assert!(ended.stderr.contains("P_comm measured in 100 flights"), "{}", ended.stderr);
+    let check: serde_json::Value = serde_json::from_str(&ended.stdout).unwrap();
+    assert!(check["comm"]["share"].as_f64().unwrap() < 0.9, "{check}");
+    assert!(check["t_out"].as_f64().unwrap() > 1.0, "{check}");
 }
 
 /// N7: intervals of no width, over flights that are one.

@@ -178,6 +178,7 @@ impl Vehicle {
         if self.upload.as_ref().is_some_and(|upload| (upload.from, upload.asker) != (from, asker)) {
             return self.mission_ack(MavMissionResult::MAV_MISSION_DENIED, MISSION, asker, from);
         }
+        self.uploaded = None;
         if end > MAX_ITEMS {
             return self.mission_ack(MavMissionResult::MAV_MISSION_NO_SPACE, MISSION, asker, from);
         }
@@ -208,6 +209,10 @@ impl Vehicle {
     fn item(&mut self, sent: &MissionItem, place: Place, asker: (u8, u8), from: PeerId, now: Duration) {
         let expected = self.upload.as_ref().filter(|upload| (upload.from, upload.asker) == (from, asker));
         let Some(expected) = expected.map(|upload| upload.next) else {
+            // The station sends its last item again where our acknowledgement of all was lost.
+            if self.uploaded == Some((from, asker, sent.seq)) {
+                return self.mission_ack(ACCEPTED, MISSION, asker, from);
+            }
             return self.mission_ack(MavMissionResult::MAV_MISSION_ERROR, MISSION, asker, from);
         };
         let (seq, item) = (sent.seq, StoredItem::of(sent, place));
@@ -237,11 +242,12 @@ impl Vehicle {
         }
         self.notice("mission", &format!("mission of {} items", items.len()), now);
         self.install(items);
+        self.uploaded = Some((from, asker, seq));
         self.mission_ack(ACCEPTED, MISSION, asker, from);
     }
 
     fn install(&mut self, items: Vec<StoredItem>) {
-        self.upload = None;
+        (self.upload, self.uploaded) = (None, None);
         self.plan = StoredMission::new(items);
     }
 

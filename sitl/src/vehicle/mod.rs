@@ -92,6 +92,8 @@ pub struct Vehicle {
     loss_of_link: LossOfLink,
     plan: StoredMission,
     upload: Option<MissionUpload>,
+    /// Whose upload made the plan, and its last item.
+    uploaded: Option<(PeerId, (u8, u8), u16)>,
     battery: Battery,
     peers: BTreeMap<PeerId, Peer>,
     outbox: VecDeque<(PeerId, Vec<u8>)>,
@@ -259,6 +261,7 @@ impl Vehicle {
             loss_of_link: LossOfLink::default(),
             plan: StoredMission::default(),
             upload: None,
+            uploaded: None,
             sim,
             system,
             ticks,

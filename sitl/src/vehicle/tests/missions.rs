@@ -123,6 +123,17 @@ fn start(bench: &mut Bench) -> Vec<Packet> {
     bench.send(&ask(MavCmd::MAV_CMD_MISSION_START, 0.0, TARGET))
 }
 
+/// The acknowledgement of a whole mission was lost: the station sends its last item again.
+#[test]
+fn a_last_item_that_comes_again_is_accepted_again() {
+    let mut bench = greeted();
+    let items = [waypoint(0, [0.5, 0.5]), waypoint(1, [0.2, 0.8])];
+    let accepted = upload(&mut bench, &items);
+    assert_eq!(accepted, Result_::MAV_MISSION_ACCEPTED);
+    assert_eq!(result(&bench.send(&items[1])), Some((accepted, MISSION)));
+    assert_eq!(result(&bench.send(&items[0])), Some((Result_::MAV_MISSION_ERROR, MISSION)));
+}
+
 #[test]
 fn at_first_the_mission_is_home_alone_and_the_other_lists_are_empty() {
     let mut bench = greeted();
