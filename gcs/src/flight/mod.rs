@@ -11,7 +11,7 @@
 //! | a flight ends | the vehicle is left |
 //! |---|---|
 //! | after its last tick, or in a fall | as its last command has it |
-//! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for three times |
+//! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for four times |
 //! | because an operator changed its mode | to the operator |
 //! | because another station's setpoint is flown | to the other station: no more setpoints from here |
 //! | because it has booted anew | as it has booted: no more setpoints from here |
