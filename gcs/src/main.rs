@@ -13,7 +13,7 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{check, episodes, optimise, policies, report};
+use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::{bridge, mission, param, replay};
@@ -43,6 +43,10 @@ enum GcsCommand {
     Optimise(optimise::Optimise),
     /// Measure how often flights of a policy keep each chance constraint
     Check(check::Check),
+    /// Bound what any controller can reach: the oracle's value, and others beside it
+    Bound(bound::Bound),
+    /// Search the numbers of RCC or UCC on training seeds
+    Tune(tune::Tune),
     /// Fly a sweep: the paper's metrics against one key of the scenario
     Sweep(sweep::Sweep),
     /// Join the shards of a sweep
@@ -278,6 +282,8 @@ fn main() -> ExitCode {
         GcsCommand::Episodes(args) => episodes::run(&args),
         GcsCommand::Optimise(args) => optimise::run(&args),
         GcsCommand::Check(args) => check::run(&args),
+        GcsCommand::Bound(args) => bound::run(&args),
+        GcsCommand::Tune(args) => tune::run(&args),
         GcsCommand::Sweep(args) => sweep::run(&args),
         GcsCommand::Merge(args) => merge::run(&args),
         GcsCommand::Report(args) => report::run(&args),

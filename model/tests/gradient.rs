@@ -5,15 +5,18 @@ mod oracle;
 use crpl_model::numeric::kernel::LANES;
 use crpl_model::planning::head::Head;
 use crpl_model::planning::objective;
-use crpl_model::planning::plant::{Execution, Objective, RolloutLimits, RolloutOptions};
+use crpl_model::planning::plant::{Edge, Execution, Objective, RolloutLimits, RolloutOptions};
 use crpl_model::planning::policy::Policies;
+use crpl_sitl::scenario::Cost;
 use oracle::{by_autodiff, draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (f64, f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let plant = plant(limits, &mut rng);
+    let mut plant = plant(limits, &mut rng);
+    // Near enough to be felt.
+    plant.edge = (seed % 2 == 1).then_some(Edge { margin: 0.8, softness: 0.7 });
     let mut draws = draws(2, 20, &mut rng);
     // Beside the first, and on their way elsewhere.
     for n in 1..obstacles as u8 {
@@ -24,7 +27,13 @@ fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (
     }
     // A barrier that is felt: tolerances wide enough that both logarithms are proper.
     let objective =
-        Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
+        Objective {
+            collision_tolerance: 0.9,
+            outage_tolerance: 0.9,
+            beta: 20.0,
+            cost: Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() },
+            ..Objective::default()
+        };
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);

@@ -1,11 +1,9 @@
-//! RCC, UCC and APC decide as the reference's do: in the loop with our world and our gate, its flights
+//! The untuned RCC, UCC and APC decide as the reference's do: in the loop with our world and our gate, its flights
 //! come out again. Those of RCC and UCC command by command; APC's for 19 intervals (at the 20th of Scenario
 //! 1 our beam keeps a node that the reference's does not), and in the large from there on.
 
-use crpl_gcs::station::pilot::apc::Apc;
-use crpl_gcs::station::pilot::rcc::Rcc;
-use crpl_gcs::station::pilot::reactive::{Present, Task};
-use crpl_gcs::station::pilot::ucc::Ucc;
+use crpl_gcs::station::pilot::apc_paper::ApcPaper;
+use crpl_gcs::station::pilot::reactive::{Law, Present, Reactive, Task};
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::Gate;
 use crpl_sitl::radio::message::Command;
@@ -69,7 +67,7 @@ fn flights_of(controller: &str, count: usize, mut check: impl FnMut(&Flight, &Sc
 #[test]
 fn rcc_flies_the_reference_flights() {
     flights_of("RCC", 6, |flight, scenario| {
-        let mut rcc = Rcc::new(Task::of(scenario));
+        let mut rcc = Reactive::new(Law::RCC_PAPER, Task::of(scenario));
         fly_exactly(flight, scenario, |present| rcc.decide(present));
     });
 }
@@ -77,7 +75,7 @@ fn rcc_flies_the_reference_flights() {
 #[test]
 fn ucc_flies_the_reference_flights() {
     flights_of("UCC", 6, |flight, scenario| {
-        let mut ucc = Ucc::new(Task::of(scenario));
+        let mut ucc = Reactive::new(Law::UCC_PAPER, Task::of(scenario));
         fly_exactly(flight, scenario, |present| ucc.decide(present));
     });
 }
@@ -85,7 +83,7 @@ fn ucc_flies_the_reference_flights() {
 #[test]
 fn apc_flies_the_reference_flights() {
     flights_of("APC", 2, |flight, scenario| {
-        let apc = Apc::new(scenario);
+        let apc = ApcPaper::new(scenario);
         let last = fly(flight, scenario, 19, |present| apc.decide(present));
         let d_f = (last - scenario.goal).norm();
         assert!((d_f - flight.metrics.d_f).abs() < 0.02, "{}: d_f {d_f}", flight.name());

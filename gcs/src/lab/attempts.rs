@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
     Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, optimise,
 };
-use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
+use crpl_model::planning::config::{Attempt, OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::ObjectiveEstimate;
 use crpl_model::planning::policy::Policies;
 use crpl_model::planning::problem::PlanningProblem;
@@ -33,6 +33,9 @@ pub struct Optimised {
     pub wall_s: f64,
 }
 
+/// The attempt that was under way, and its progress.
+pub type Begun = (Attempt, Option<OptimiseProgress>);
+
 /// What sees the attempts and their iterations.
 pub trait AttemptWatch: OptimiseWatch {
     /// What may stop it.
@@ -40,8 +43,8 @@ pub trait AttemptWatch: OptimiseWatch {
         None
     }
 
-    /// Attempt `n` begins, from 0.
-    fn attempt(&mut self, n: usize, config: &OptimiseConfig);
+    /// An attempt begins.
+    fn attempt(&mut self, attempt: Attempt, config: &OptimiseConfig);
     /// Its policies have been checked.
     fn flown(&mut self, check: &ConstraintCheck);
 }
@@ -57,18 +60,19 @@ pub fn optimise_for(
     scenario: &Scenario,
     config: &OptimiseConfig,
     seed: u64,
-    begun: (usize, Option<OptimiseProgress>),
+    begun: Begun,
     watch: &mut impl AttemptWatch,
 ) -> Result<Optimised> {
     config.check()?;
     one_obstacle(scenario)?;
     let stopwatch = Stopwatch::default();
     let problem = PlanningProblem::of(world, scenario, config, seed)?;
-    let (first, mut progress) = begun;
+    let (mut attempt, mut progress) = begun;
     let mut best: Option<Optimised> = None;
-    for n in first..config.attempts.max(first + 1) {
-        let config = config.attempt(n);
-        watch.attempt(n, &config);
+    let last = config.attempts.max(attempt.number + 1);
+    while attempt.number < last {
+        let config = config.attempt(attempt);
+        watch.attempt(attempt, &config);
         let (mut policies, outcome) = match optimise(&problem, &config, seed, progress.take(), watch) {
             Err(error) => match watch.stop().and_then(StopSignal::get) {
                 Some(signal) => bail!(signal.exit(&error.to_string())),
@@ -79,7 +83,7 @@ pub fn optimise_for(
         let flown = check::after(&config, world, &policies, scenario, watch.stop())?;
         watch.flown(&flown);
         policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
-        let made = Optimised { policies, outcome, flown, attempts: n + 1, wall_s: stopwatch.seconds().0 };
+        let made = Optimised { policies, outcome, flown, attempts: attempt.number + 1, wall_s: stopwatch.seconds().0 };
         let holds = flown.holds();
         if best.as_ref().is_none_or(|best| best.flown.least() <= flown.least()) {
             best = Some(made);
@@ -87,6 +91,7 @@ pub fn optimise_for(
         if holds {
             break;
         }
+        attempt = attempt.next(flown.safe.holds(), flown.comm.holds());
     }
     let best = best.context("no attempt was made")?;
     Ok(Optimised { wall_s: stopwatch.seconds().0, ..best })
@@ -96,7 +101,7 @@ pub fn optimise_for(
 pub struct Quiet;
 
 impl AttemptWatch for Quiet {
-    fn attempt(&mut self, _: usize, _: &OptimiseConfig) {}
+    fn attempt(&mut self, _: Attempt, _: &OptimiseConfig) {}
     fn flown(&mut self, _: &ConstraintCheck) {}
 }
 

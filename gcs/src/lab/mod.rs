@@ -1,6 +1,7 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
 pub mod attempts;
+pub mod bound;
 pub mod check;
 pub mod crew;
 pub mod demo;
@@ -14,6 +15,7 @@ pub mod report;
 pub mod run_folder;
 pub mod summary;
 pub mod sweep;
+pub mod tune;
 
 use std::sync::Arc;
 

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
     self, Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, PassingSide,
 };
-use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
+use crpl_model::planning::config::{Attempt, OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::{ObjectiveEstimate, RolloutLimits};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::{StationHeads, WorldModel};
@@ -19,7 +19,7 @@ use crpl_sitl::scenario::presets;
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
-use crate::lab::attempts::{AttemptWatch, Optimised, Quiet, optimise_for};
+use crate::lab::attempts::{AttemptWatch, Begun, Optimised, Quiet, optimise_for};
 use crate::lab::check::{ConstraintCheck, one_obstacle};
 use crate::lab::random;
 use crate::station::models::Models;
@@ -66,8 +66,8 @@ struct Saved {
     world: String,
     scenario: Scenario,
     config: OptimiseConfig,
-    /// The attempt under way, from 0.
-    attempt: usize,
+    /// The attempt under way.
+    attempt: Attempt,
     progress: Option<OptimiseProgress>,
 }
 
@@ -131,10 +131,10 @@ pub fn run(args: &Optimise) -> Result<()> {
         world: crpl_model::world_model::checkpoint::fingerprint(&world)?,
         scenario: scenario.clone(),
         config: config.clone(),
-        attempt: 0,
+        attempt: Attempt::default(),
         progress: None,
     };
-    let begun = if args.resume { read_progress(&saved, &mut run)? } else { (0, None) };
+    let begun = if args.resume { read_progress(&saved, &mut run)? } else { Begun::default() };
 
     let mut show = Show::new(&config, Some((saved.clone(), run)));
     let made = optimise_for(&world, &scenario, &config, args.seed, begun, &mut show)?;
@@ -176,7 +176,7 @@ fn compare_limits(
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         let config = OptimiseConfig { limits, ..config.clone() };
         let config = OptimiseConfig { attempts: 1, ..config };
-        let made = optimise_for(world, scenario, &config, args.seed, (0, None), &mut Quiet)?;
+        let made = optimise_for(world, scenario, &config, args.seed, Begun::default(), &mut Quiet)?;
         let (outcome, flown) = (&made.outcome, &made.flown);
         let c = &outcome.comparison;
         if args.json {
@@ -199,10 +199,10 @@ fn compare_limits(
 }
 
 /// The progress of the same run, `None` if there is none; one of another run is an error.
-fn read_progress(path: &Path, run: &mut Saved) -> Result<(usize, Option<OptimiseProgress>)> {
+fn read_progress(path: &Path, run: &mut Saved) -> Result<Begun> {
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((0, None)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Begun::default()),
         Err(error) => bail!("reading {}: {error}", path.display()),
     };
     let mut found: Saved =
@@ -255,17 +255,17 @@ impl AttemptWatch for Show {
         self.stop.as_ref()
     }
 
-    fn attempt(&mut self, n: usize, config: &OptimiseConfig) {
+    fn attempt(&mut self, attempt: Attempt, config: &OptimiseConfig) {
         self.bar.set_position(0);
         self.config = config.clone();
         if let Some((_, run)) = &mut self.saved {
-            run.attempt = n;
+            run.attempt = attempt;
         }
-        if n > 0 {
+        if attempt.number > 0 {
             let o = &config.objective;
             let (safe, comm, snr) = (o.collision_tolerance, o.outage_tolerance, config.snr_headroom);
             self.bar.suspend(|| {
-                tracing::info!("attempt {}: tolerances {safe:.4}, {comm:.4}, SNR times {snr:.2}", n + 1);
+                tracing::info!("attempt {}: tolerances {safe:.4}, {comm:.4}, SNR times {snr:.2}", attempt.number + 1);
             });
         }
     }

@@ -8,7 +8,7 @@ use crpl_model::planning::config::OptimiseConfig;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
 
-use crate::lab::attempts::optimise_for;
+use crate::lab::attempts::{Begun, optimise_for};
 use crate::lab::{check, optimise};
 use crate::station::models::{MismatchRule, Models, PolicyUse};
 use crate::station::pilot::Controller;
@@ -66,7 +66,7 @@ fn wanted(refusal: &anyhow::Error) -> Result<bool> {
 fn optimised(models: &mut Models, scenario: &Scenario) -> Result<PathBuf> {
     let config = OptimiseConfig::default();
     let mut watch = optimise::Show::unsaved(&config);
-    let made = optimise_for(&models.world, scenario, &config, SEED, (0, None), &mut watch)?;
+    let made = optimise_for(&models.world, scenario, &config, SEED, Begun::default(), &mut watch)?;
     made.flown.verdict().with_context(|| format!("optimising for {:?}", scenario.name))?;
     let dir = models.cache.get_or_insert_with(|| FALLBACK.into()).clone();
     let path = dir.join(models.cache_name(scenario)?);

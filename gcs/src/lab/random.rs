@@ -19,7 +19,7 @@ use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use serde::Serialize;
 
-use crate::lab::attempts::{Quiet, optimise_for};
+use crate::lab::attempts::{Begun, Quiet, optimise_for};
 use crate::lab::check::ConstraintCheck;
 
 /// Start, goal and base station lie in this range of each axis.
@@ -185,7 +185,7 @@ pub fn run(
         // Where no controller can, one attempt is enough to see that the bound is one.
         let config =
             OptimiseConfig { attempts: if solvable { config.attempts } else { 1 }, ..config.clone() };
-        let made = optimise_for(world_model, &scenario, &config, seed, (0, None), &mut Quiet)?;
+        let made = optimise_for(world_model, &scenario, &config, seed, Begun::default(), &mut Quiet)?;
         let o = scenario.obstacle();
         let row = RandomRow {
             n,

@@ -12,6 +12,8 @@ use crpl_sitl::camera::COLOURS;
 use crpl_sitl::program::files::fingerprint;
 use serde::Serialize;
 
+use crate::station::pilot::laws::Laws;
+
 /// The trained things that a station needs.
 #[derive(Debug, Clone)]
 pub struct Models {
@@ -23,6 +25,8 @@ pub struct Models {
     pub mismatch: MismatchRule,
     /// Folder of policies that were optimised on this machine, named by [`Models::cache_name`].
     pub cache: Option<PathBuf>,
+    /// What `rcc` and `ucc` fly.
+    pub laws: Laws,
 }
 
 /// What happens where a policy was optimised for another world than the scenario.
@@ -90,7 +94,8 @@ impl Models {
             Some(dir) => WorldModel::load(dir)?,
             None => WorldModel::embedded()?,
         };
-        Ok(Self { world: Arc::new(world), policy, mismatch: MismatchRule::Refuse, cache: None })
+        let laws = Laws::load::<&Path>(&[])?;
+        Ok(Self { world: Arc::new(world), policy, mismatch: MismatchRule::Refuse, cache: None, laws })
     }
 
     /// The policies for `scenario`: the file that was given, or the first of the shipped ones and of the
@@ -194,6 +199,9 @@ pub struct ModelFiles {
     /// File of CRPL's policies [default: the built-in ones]
     #[arg(long, value_name = "FILE")]
     pub policy: Option<PathBuf>,
+    /// File of `gcs tune` with the numbers of rcc or ucc; repeatable [default: the built-in ones]
+    #[arg(long, value_name = "FILE")]
+    pub gains: Vec<PathBuf>,
     /// What to do with a policy that was optimised for another world than the scenario
     #[arg(long, value_enum, value_name = "RULE", default_value = "refuse")]
     pub policy_mismatch: MismatchRule,
@@ -218,6 +226,7 @@ impl ModelFiles {
     /// No world model in the folder.
     pub fn load(&self) -> Result<Models> {
         let models = Models::load(self.checkpoint.as_deref(), self.policy.clone())?;
-        Ok(Models { mismatch: self.policy_mismatch, cache: cache_folder(), ..models })
+        let laws = Laws::load(&self.gains)?;
+        Ok(Models { mismatch: self.policy_mismatch, cache: cache_folder(), laws, ..models })
     }
 }

@@ -4,6 +4,7 @@
 //! The warm start tries both ways round the obstacle, each from an easier problem, and keeps the
 //! better on common random rollouts. Knows latents alone: no position, no simulator.
 
+use crpl_sitl::units::TxPower;
 use crpl_sitl::world::noise::{Noise, Stream};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -353,7 +354,11 @@ fn choose(
     };
     let feasible =
         |e: &ObjectiveEstimate| e.p_safe > 1.0 - o.collision_tolerance && e.p_comm > 1.0 - o.outage_tolerance;
-    let chosen = match (feasible(&r), feasible(&l)) {
+    // The relaxed P̂_comm lets δ2 of a flight be without a link. Where only one way has a link all along, Eq. (14)
+    // asks for that one.
+    let connected = [right, left].map(|net| always_connected(problem, config, noise, &o, net));
+    let is_connected = connected.map(|share| share > 1.0 - o.outage_tolerance);
+    let chosen = match (feasible(&r) && is_connected[0], feasible(&l) && is_connected[1]) {
         (true, false) => PassingSide::Right,
         (false, true) => PassingSide::Left,
         _ if r.j <= l.j => PassingSide::Right,
@@ -363,6 +368,30 @@ fn choose(
     let rollouts = scores[0].cost.len();
     progress.comparison = Some(Comparison { rollouts, right: r, left: l, margin, margin_se, chosen });
     Ok(())
+}
+
+/// Rollouts on which [`always_connected`] counts.
+const COUNTED: usize = 1024;
+
+/// Share of rollouts at full power in which the link holds in every interval: P_comm of Eq. (14) itself.
+fn always_connected(
+    problem: &PlanningProblem,
+    config: &OptimiseConfig,
+    noise: &Noise,
+    o: &Objective,
+    motion: &Mlp,
+) -> f64 {
+    let draws =
+        problem.draws(noise, Stream::Evaluation, 1 << 30, COUNTED, problem.obstacle, config.horizon);
+    let full = TxPower::High.level() as f32;
+    let kept: usize = draws
+        .par_iter()
+        .map(|d| {
+            let samples = rollout::samples(&problem.plant, o, motion, d);
+            (0..LANES).filter(|l| samples.iter().all(|(_, ratio)| ratio[*l] * full >= 1.0)).count()
+        })
+        .sum();
+    kept as f64 / COUNTED as f64
 }
 
 /// Problem 2, and what was found.

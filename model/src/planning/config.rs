@@ -28,6 +28,8 @@ pub struct OptimiseConfig {
     pub gust_std: f64,
     /// Gusts in training rollouts over those of the scenario, at least.
     pub gust_factor: f64,
+    /// Softness of the edge's risk in rollouts, units.
+    pub edge_softness: f64,
     /// Factor on the SNR that a packet needs: what the channel head may be wrong by.
     pub snr_headroom: f64,
     /// Standard deviations, per axis: of the start position, units, and of the start velocity, units per interval.
@@ -99,6 +101,7 @@ impl Default for OptimiseConfig {
             gradient_clip: 1.0,
             gust_std: 0.0027,
             gust_factor: 1.8,
+            edge_softness: 0.01,
             snr_headroom: 1.08,
             start_spread: [0.03, 0.01],
             starts: 2048,
@@ -150,16 +153,39 @@ pub enum OptimiseError {
     Progress(String),
 }
 
-impl OptimiseConfig {
-    /// The config of attempt `n`, from 0: each attempt asks for half of the tolerances and 15 % more SNR than the
-    /// one before.
+/// Which attempt at a scenario this is, and what the ones before it have shown to be too loose.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attempt {
+    /// From 0.
+    pub number: usize,
+    /// How often δ1 has been halved.
+    pub safety: i32,
+    /// How often δ2 has been halved and 15 % more SNR asked for.
+    pub outage: i32,
+}
+
+impl Attempt {
+    /// The next one, after a check that P_safe and P_comm did or did not pass; where both did, the goal was missed,
+    /// and both are tightened.
     #[must_use]
-    pub fn attempt(&self, n: usize) -> Self {
+    pub fn next(self, safe: bool, connected: bool) -> Self {
+        let neither = safe && connected;
+        Self {
+            number: self.number + 1,
+            safety: self.safety + i32::from(!safe || neither),
+            outage: self.outage + i32::from(!connected || neither),
+        }
+    }
+}
+
+impl OptimiseConfig {
+    /// The config of an attempt.
+    #[must_use]
+    pub fn attempt(&self, attempt: Attempt) -> Self {
         let mut config = self.clone();
-        let factor = 0.5_f64.powi(n as i32);
-        config.objective.collision_tolerance *= factor;
-        config.objective.outage_tolerance *= factor;
-        config.snr_headroom *= 1.15_f64.powi(n as i32);
+        config.objective.collision_tolerance *= 0.5_f64.powi(attempt.safety);
+        config.objective.outage_tolerance *= 0.5_f64.powi(attempt.outage);
+        config.snr_headroom *= 1.15_f64.powi(attempt.outage);
         config
     }
 
@@ -195,6 +221,7 @@ impl OptimiseConfig {
             ("check_flights", self.check_flights as f64),
             ("check_gust_std", self.check_gust_std),
             ("snr_headroom", self.snr_headroom),
+            ("edge_softness", self.edge_softness),
             ("gust_factor", self.gust_factor),
             ("attempts", self.attempts as f64),
             ("averaged_iterations", self.averaged_iterations as f64),

@@ -1,5 +1,6 @@
 //! The learned world as Algorithm 1 rolls it out; a batch of rollouts: its draws, options and scores.
 
+use crpl_sitl::scenario::Cost;
 use serde::{Deserialize, Serialize};
 
 use crate::numeric::kernel::{LANES, Lane};
@@ -12,12 +13,10 @@ use crate::predictor::linear::PlaneLinear;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Objective {
-    /// Weight of |r - r_g|²: what the unknown latent scale of ‖z_c - z_g‖² in Eq. (9) stands for.
-    pub lambda_goal: f64,
-    /// λ_s, weight of ‖a_s‖² in the stage cost, Eq. (9).
-    pub lambda_motion: f64,
-    /// λ_p, weight of a_p² in the stage cost, Eq. (9).
-    pub lambda_power: f64,
+    /// Weights of the stage cost, Eq. (9), and of a terminal cost. In [`PlanningProblem::objective`](super::problem::PlanningProblem::objective)
+    /// they are the scenario's.
+    #[serde(skip)]
+    pub cost: Cost,
     /// α, slope of the smooth outage, Eq. (26).
     pub alpha: f64,
     /// β of the soft minimum, Eq. (23).
@@ -35,9 +34,7 @@ pub struct Objective {
 impl Default for Objective {
     fn default() -> Self {
         Self {
-            lambda_goal: 0.05,
-            lambda_motion: 1e-4,
-            lambda_power: 1e-5,
+            cost: Cost::default(),
             alpha: 3.0,
             beta: 500.0,
             barrier_residual: 1e-4,
@@ -60,6 +57,16 @@ pub enum RolloutLimits {
     Walls,
 }
 
+/// The constraint of the field's edge: a UAV at distance d of it is at risk with probability
+/// sigmoid((margin - d)/softness).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge {
+    /// Latent units.
+    pub margin: f32,
+    /// Latent units.
+    pub softness: f32,
+}
+
 /// The learned world in plane coordinates: predictor, heads and goal.
 #[derive(Debug, Clone)]
 pub struct Plant {
@@ -73,6 +80,8 @@ pub struct Plant {
     pub v_max: f32,
     /// y_c of the frame's corners (0, 0) and (1, 1).
     pub corners: [[f32; 2]; 2],
+    /// The field's edge as a risk; `None` where the scenario asks for no margin.
+    pub edge: Option<Edge>,
     /// Where each obstacle can be, in y_u; `None`, or no entry, predicts it straight on for ever.
     pub areas: Vec<Option<Area>>,
     /// What the rollout knows of limits.

@@ -54,7 +54,7 @@ pub(super) fn power_gradient(
     let connected = passes.iter().map(|p| p.connected).sum::<f64>() / (rollouts * horizon);
     let spent = passes.iter().map(|p| p.spent).sum::<f64>() / rollouts;
     let margin = connected - 1.0 + objective.outage_tolerance;
-    let cost = objective.lambda_power * spent;
+    let cost = objective.cost.power * spent;
     let estimate = ObjectiveEstimate {
         j: cost - w * objective::log_ext(margin, eps),
         cost,
@@ -62,7 +62,7 @@ pub(super) fn power_gradient(
         p_comm: connected,
     };
     let d_outage = (w / margin.max(eps) / (rollouts * horizon)) as f32;
-    let d_spent = (objective.lambda_power / rollouts) as f32;
+    let d_spent = (objective.cost.power / rollouts) as f32;
     let grads: Vec<Mlp> =
         passes.par_iter().map(|pass| power_backward(net, pass, d_outage, d_spent)).collect();
     (estimate, objective::sum(grads))

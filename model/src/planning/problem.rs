@@ -1,7 +1,7 @@
 //! A scenario seen through the encoder: what Algorithm 1 knows of it. The only place state that draws
 //! frames.
 
-use crpl_sitl::scenario::Obstacle;
+use crpl_sitl::scenario::{Cost, Obstacle};
 use crpl_sitl::world::dynamics::limit_speed;
 use crpl_sitl::world::noise::{Noise, Stream};
 use crpl_sitl::world::obstacles::PerObstacle;
@@ -17,7 +17,7 @@ use crate::planning::area::Area;
 use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};
 use crate::planning::exact::{Exact, Quantity};
 use crate::planning::head::Head;
-use crate::planning::plant::{Draws, Objective, Plant};
+use crate::planning::plant::{Draws, Edge, Objective, Plant};
 use crate::planning::scope;
 use crate::world_model::{StationHeads, WorldModel, checkpoint};
 
@@ -52,6 +52,8 @@ pub struct PlanningProblem {
     required_snr: f64,
     /// δ1 and δ2 of the scenario.
     tolerances: [f64; 2],
+    /// Weights of its stage cost.
+    cost: Cost,
 }
 
 /// Standard deviations of the collision probability's softness by which a start must be clear of the obstacle.
@@ -144,15 +146,17 @@ impl PlanningProblem {
             world: String::new(),
             required_snr: scope::required_snr(scenario),
             tolerances: [scenario.safety.collision_tolerance, scenario.safety.outage_tolerance],
+            cost: scenario.cost.clone(),
             plant,
         }
     }
 
-    /// `base` with what the scenario asks for: the SNR that a packet needs times `headroom`, and the smaller of
-    /// the scenario's and the base's tolerances.
+    /// `base` with what the scenario asks for: the weights of its stage cost, the SNR that a packet needs times
+    /// `headroom`, and the smaller of the scenario's and the base's tolerances.
     #[must_use]
     pub fn objective(&self, base: &Objective, headroom: f64) -> Objective {
         Objective {
+            cost: self.cost.clone(),
             snr_min: headroom * self.required_snr,
             collision_tolerance: base.collision_tolerance.min(self.tolerances[0]),
             outage_tolerance: base.outage_tolerance.min(self.tolerances[1]),
@@ -235,12 +239,13 @@ impl PlanningProblem {
     }
 }
 
-/// A start near the scenario's, in the square and clear of the obstacle; the scenario's own if there is none.
+/// A start near the scenario's, clear of the edge and of the obstacle; the scenario's own if there is none.
 fn start(scenario: &Scenario, mut offset: impl FnMut() -> Vector2<f64>) -> Vector2<f64> {
     let least = scenario.safety.d_min + CLEAR_START * scenario.safety.softness;
+    let inside = scenario.safety.edge_margin + CLEAR_START * scenario.safety.softness;
     let is_clear = |r: &Vector2<f64>| {
         let o = scenario.obstacle();
-        r.iter().all(|x| (0.0..=1.0).contains(x))
+        r.iter().all(|x| (inside..=1.0 - inside).contains(x))
             && safety::clearance(*r, o.position, scenario.uav_radius, o.radius) >= least
     };
     let drawn = std::iter::repeat_with(|| scenario.start + offset()).take(20).find(is_clear);
@@ -261,11 +266,21 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
         scale: world.scale as f32,
         v_max: scenario.dynamics.v_max as f32,
         corners: [[f32::NEG_INFINITY; 2], [f32::INFINITY; 2]],
+        edge: edge(world.scale, scenario, config),
         areas: Vec::new(),
         limits: config.limits,
         goal: [0.0; 2],
         collision,
         gain,
+    })
+}
+
+/// The edge's risk in latent units of `scale` a unit of length.
+fn edge(scale: f64, scenario: &Scenario, config: &OptimiseConfig) -> Option<Edge> {
+    let margin = scenario.safety.edge_margin;
+    (margin > 0.0).then(|| Edge {
+        margin: (scale * margin) as f32,
+        softness: (scale * config.edge_softness) as f32,
     })
 }
 

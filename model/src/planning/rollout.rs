@@ -7,7 +7,7 @@ use crate::numeric::kernel::{self, LANES, Lane, ZERO};
 use crate::numeric::mlp::Mlp;
 use crate::planning::area::Area;
 use crate::planning::lanes::{Back, HIDDEN, probabilities, weight_gradient};
-use crate::planning::plant::{Draws, Execution, Objective, Plant, RolloutLimits, RolloutOptions};
+use crate::planning::plant::{Draws, Edge, Execution, Objective, Plant, RolloutLimits, RolloutOptions};
 use crate::planning::policy::FEATURES;
 use crate::predictor::Memory;
 
@@ -101,12 +101,12 @@ pub(super) fn forward(
         t.u.push(drift(plant, area, *obstacle, horizon));
     }
     let (place, speed) = (2.0 / plant.scale, 1.0 / (plant.scale * plant.v_max));
-    let goal_weight = (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
-    let motion_weight = objective.lambda_motion as f32;
-    let power_cost = (objective.lambda_power as f32) * power * power;
+    let motion_weight = objective.cost.motion as f32;
+    let power_cost = (objective.cost.power as f32) * power * power;
     let reach = plant.scale * plant.v_max;
 
     for k in 0..horizon {
+        let goal_weight = goal_weight(plant, objective, horizon - k);
         let (now, before) = (t.y[k + 1], t.y[k]);
         let reported = draws.reported_obstacle.map_or_else(|| t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
@@ -166,6 +166,29 @@ pub(super) fn forward(
     t
 }
 
+/// Weight of |y - y_g|² after an interval, the last of `left` of a rollout.
+#[inline(always)]
+fn goal_weight(plant: &Plant, objective: &Objective, left: usize) -> f32 {
+    let cost = &objective.cost;
+    let settle = if left as u64 <= cost.settle_intervals { cost.settle } else { 0.0 };
+    ((cost.goal + settle) / f64::from(plant.scale).powi(2)) as f32
+}
+
+/// The nearest side of the field's edge: logit of its risk, the axis, and the logit's slope along it.
+#[inline(always)]
+fn edge_logit(plant: &Plant, edge: &Edge, y: [f32; 2]) -> (f32, usize, f32) {
+    let mut nearest = (f32::NEG_INFINITY, 0, 0.0);
+    for (axis, y) in y.into_iter().enumerate() {
+        for (distance, slope) in [(y - plant.corners[0][axis], -1.0), (plant.corners[1][axis] - y, 1.0)] {
+            let logit = (edge.margin - distance) / edge.softness;
+            if logit > nearest.0 {
+                nearest = (logit, axis, slope / edge.softness);
+            }
+        }
+    }
+    nearest
+}
+
 /// y_u of an obstacle at -1, 0, ... H: straight as its linear predictor has it, reflected where walls
 /// and margin end.
 #[inline(always)]
@@ -215,6 +238,12 @@ fn score(plant: &Plant, objective: &Objective, power: f32, t: &mut RolloutTrace)
                 log_gain[l] = log_gain[l].min(other[l]);
             }
         }
+        if let Some(edge) = &plant.edge {
+            for l in 0..LANES {
+                let p = kernel::sigmoid(edge_logit(plant, edge, [t.y[after][0][l], t.y[after][1][l]]).0);
+                t.risk[k][l] = p.mul_add(1.0 - t.risk[k][l], t.risk[k][l]);
+            }
+        }
         for l in 0..LANES {
             riskiest[l] = riskiest[l].max(t.risk[k][l]);
             t.ratio[k][l] = kernel::exp(log_gain[l]) * connected;
@@ -249,9 +278,9 @@ const NEGLIGIBLE: f32 = 1e-7;
 fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &RolloutTrace) -> Vec<[Lane; 2]> {
     let horizon = t.a.len();
     let mut g = vec![[ZERO; 2]; horizon + 1];
-    let goal = 2.0 * share.each * (objective.lambda_goal / f64::from(plant.scale).powi(2)) as f32;
     for k in 0..horizon {
         let after = k + 2;
+        let goal = 2.0 * share.each * goal_weight(plant, objective, horizon - k);
         for i in 0..2 {
             for l in 0..LANES {
                 g[k + 1][i][l] += goal * (t.y[after][i][l] - plant.goal[i]);
@@ -261,7 +290,7 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Rollout
         // dp/dlogit_i = p_i (1 - p).
         let mut through = ZERO;
         for u in &t.u {
-            let alone = t.u.len() == 1;
+            let alone = t.u.len() == 1 && plant.edge.is_none();
             let own = if alone { t.risk[k] } else { risk(plant, &t.y[after], &u[after]) };
             for l in 0..LANES {
                 through[l] = -share.d_safe * t.weight[k][l] * own[l] * (1.0 - t.risk[k][l]);
@@ -273,6 +302,13 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Rollout
                         g[k + 1][i][l] += through[l] * d[i][l];
                     }
                 }
+            }
+        }
+        if let Some(edge) = &plant.edge {
+            for l in 0..LANES {
+                let (logit, axis, slope) = edge_logit(plant, edge, [t.y[after][0][l], t.y[after][1][l]]);
+                let own = kernel::sigmoid(logit);
+                g[k + 1][axis][l] -= share.d_safe * t.weight[k][l] * own * (1.0 - t.risk[k][l]) * slope;
             }
         }
         // s_comm = mean(1 - p_out): dp_out/dlog g = -α ratio p_out (1 - p_out).
@@ -334,7 +370,7 @@ pub(super) fn backward(
     let slopes = outer_slopes(plant, objective, share, t);
     let back = Back::new(motion);
     let (place, speed) = (2.0 / plant.scale, 1.0 / (plant.scale * plant.v_max));
-    let effort = 2.0 * share.each * objective.lambda_motion as f32;
+    let effort = 2.0 * share.each * objective.cost.motion as f32;
     let reach = plant.scale * plant.v_max;
 
     let mut d1 = vec![ZERO; horizon * HIDDEN];

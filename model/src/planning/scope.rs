@@ -14,8 +14,8 @@ use serde_json::Value;
 /// Keys of a scenario that a policy's weights depend on; a table stands for all of its keys. Left out are
 /// names, drawing, units of measurement, the vehicle's own autopilot, propulsion (in no objective), and the
 /// keys of [`BOUNDED`].
-const KEYS: [&str; 8] =
-    ["start", "goal", "goal_radius", "uav_radius", "obstacle", "dynamics", "channel", "safety"];
+const KEYS: [&str; 9] =
+    ["start", "goal", "goal_radius", "uav_radius", "obstacle", "dynamics", "channel", "safety", "cost"];
 
 /// Keys that [`PolicyScope::differences`] compares through a bound, or not at all: γ_min is part of the SNR
 /// that a packet needs.

@@ -48,6 +48,7 @@ pub fn plant(limits: RolloutLimits, rng: &mut ChaCha8Rng) -> Plant {
         scale: 10.0,
         v_max: 0.04,
         corners: [[-5.0, -5.0], [-3.0, 5.0]],
+        edge: None,
         areas: Vec::new(),
         limits,
         goal: [4.0, 0.0],
@@ -195,12 +196,24 @@ pub mod by_autodiff {
             let next = now.clone().matmul(p[0].clone())
                 + before.matmul(p[1].clone())
                 + (action.clone() + wind).matmul(p[2].clone());
+            let is_last = (horizon - k) as u64 <= objective.cost.settle_intervals;
+            let settle = if is_last { objective.cost.settle } else { 0.0 };
             cost = cost
                 + (next.clone() - goal.clone()).square().sum_dim(1)
-                    * (objective.lambda_goal / f64::from(scale).powi(2))
-                + action.square().sum_dim(1) * objective.lambda_motion
-                + objective.lambda_power * 16.0;
-            risks.push(sigmoid(collision.forward(Tensor::cat(vec![next.clone(), obstacle.clone()], 1))));
+                    * ((objective.cost.goal + settle) / f64::from(scale).powi(2))
+                + action.square().sum_dim(1) * objective.cost.motion
+                + objective.cost.power * 16.0;
+            let beside = sigmoid(collision.forward(Tensor::cat(vec![next.clone(), obstacle.clone()], 1)));
+            risks.push(match &plant.edge {
+                None => beside,
+                Some(edge) => {
+                    let low = matrix(&plant.corners[0], [1, 2], &device);
+                    let high = matrix(&plant.corners[1], [1, 2], &device);
+                    let sides = Tensor::cat(vec![next.clone() - low, high - next.clone()], 1);
+                    let risk = sigmoid((sides.min_dim(1).neg() + edge.margin) / edge.softness);
+                    beside.clone() + risk * (beside.neg() + 1.0)
+                }
+            });
             before = now;
             now = next;
         }

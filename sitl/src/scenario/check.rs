@@ -111,7 +111,7 @@ impl Scenario {
     }
 
     /// Everything in the paper's units of length and time.
-    fn lengths(&self) -> [Row; 19] {
+    fn lengths(&self) -> [Row; 20] {
         [
             ("start[0]", self.start.x, 0.0, 1.0),
             ("start[1]", self.start.y, 0.0, 1.0),
@@ -130,13 +130,14 @@ impl Scenario {
             ("channel.distance_floor", self.channel.distance_floor, 1e-6, 1.0),
             ("safety.softness", self.safety.softness, 1e-6, 10.0),
             ("safety.d_min", self.safety.d_min, 0.0, 1.0),
+            ("safety.edge_margin", self.safety.edge_margin, 0.0, 0.5),
             ("horizon", self.horizon as f64, 1.0, 1e6),
             ("observer.window", self.observer.window as f64, 2.0, 100.0),
         ]
     }
 
     /// Powers, bits, shares, and everything in SI units.
-    fn others(&self) -> [Row; 25] {
+    fn others(&self) -> [Row; 30] {
         let (channel, propulsion, scale) = (&self.channel, &self.propulsion, &self.scale);
         [
             ("channel.reference_gain", channel.reference_gain, 1e-12, 1e12),
@@ -148,6 +149,11 @@ impl Scenario {
             ("radio.packet_bits", self.radio.packet_bits, 1e-6, 1e9),
             ("safety.collision_tolerance", self.safety.collision_tolerance, 0.0, 1.0),
             ("safety.outage_tolerance", self.safety.outage_tolerance, 0.0, 1.0),
+            ("cost.goal", self.cost.goal, 0.0, 1e6),
+            ("cost.motion", self.cost.motion, 0.0, 1e6),
+            ("cost.power", self.cost.power, 0.0, 1e6),
+            ("cost.settle", self.cost.settle, 0.0, 1e6),
+            ("cost.settle_intervals", self.cost.settle_intervals as f64, 0.0, 1e6),
             ("propulsion.blade_profile_power", propulsion.blade_profile_power, 1e-3, 1e6),
             ("propulsion.induced_power", propulsion.induced_power, 1e-3, 1e6),
             ("propulsion.tip_speed", propulsion.tip_speed, 1e-3, 1e6),

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::camera::Sizes;
 use crate::camera::effects::Effects;
-use crate::units::Scale;
+use crate::units::{Scale, TxPower};
 
 /// One flight's parameters. Lengths in the paper's units, times in control intervals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -47,6 +47,8 @@ pub struct Scenario {
     pub radio: Radio,
     /// Collision probability and its tolerance.
     pub safety: Safety,
+    /// Weights of the stage cost.
+    pub cost: Cost,
     /// Rotary-wing power.
     pub propulsion: Propulsion,
     /// NED metres and seconds.
@@ -91,6 +93,7 @@ impl Default for Scenario {
             channel: Channel::default(),
             radio: Radio::default(),
             safety: Safety::default(),
+            cost: Cost::default(),
             propulsion: Propulsion::default(),
             scale: Scale::default(),
             camera: Camera::default(),
@@ -296,6 +299,9 @@ pub struct Safety {
     pub outage_tolerance: f64,
     /// What follows a collision.
     pub collision_action: CollisionAction,
+    /// Distance of the UAV's centre to the field's edge that a flight must keep, units (our choice: R_u, its body
+    /// does not touch the edge).
+    pub edge_margin: f64,
 }
 
 impl Default for Safety {
@@ -306,7 +312,31 @@ impl Default for Safety {
             collision_tolerance: 0.05,
             outage_tolerance: 0.05,
             collision_action: CollisionAction::Continue,
+            edge_margin: 0.02,
         }
+    }
+}
+
+/// Weights of the stage cost ℓ_k, Eq. (9), on true states: the objective that all controllers share.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Cost {
+    /// Weight of |r - r_g|²: what the unknown latent scale of ‖z_c - z_g‖² stands for (our choice).
+    pub goal: f64,
+    /// λ_s, weight of ‖a_s‖² (our choice).
+    pub motion: f64,
+    /// λ_p, weight of a_p² (our choice).
+    pub power: f64,
+    /// Weight of |r - r_g|² in the last `settle_intervals` of the horizon, on top: a terminal cost, which the paper
+    /// does not have. CRPL and APC optimise it; J does not count it (our choice).
+    pub settle: f64,
+    /// See `settle`.
+    pub settle_intervals: u64,
+}
+
+impl Default for Cost {
+    fn default() -> Self {
+        Self { goal: 0.05, motion: 1e-4, power: 1e-5, settle: 5.0, settle_intervals: 40 }
     }
 }
 
@@ -436,6 +466,14 @@ impl Scenario {
     pub fn number(&self) -> Option<u8> {
         let position = self.obstacles.first()?.position;
         (1..=2).find(|&n| Self::numbered(n).is_ok_and(|s| s.obstacle().position == position))
+    }
+
+    /// ℓ of one interval, Eq. (9), Sec. II-C1: the UAV at `r` when it ended, `a` the normalised acceleration that was
+    /// flown, `power` the transmit power.
+    #[must_use]
+    pub fn stage_cost(&self, r: Vector2<f64>, a: Vector2<f64>, power: TxPower) -> f64 {
+        let Cost { goal, motion, power: transmit, .. } = self.cost;
+        goal * (r - self.goal).norm_squared() + motion * a.norm_squared() + transmit * power.level().powi(2)
     }
 
     /// The first obstacle: the one that the paper has and that a world model is trained beside. The

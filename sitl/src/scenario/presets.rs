@@ -19,7 +19,7 @@ pub struct Preset {
 const SCENARIO_1: &str = "name = \"scenario 1\"\n[[obstacle]]\nposition = [0.50, 0.30]\n";
 
 /// All presets. The paper's two come first.
-pub const PRESETS: [Preset; 13] = [
+pub const PRESETS: [Preset; 14] = [
     Preset { name: "1", about: "the paper's Scenario 1: the obstacle shadows the path", toml: SCENARIO_1 },
     Preset { name: "2", about: "the paper's Scenario 2: the obstacle is in the path", toml: "" },
     Preset {
@@ -36,6 +36,11 @@ pub const PRESETS: [Preset; 13] = [
         name: "demo",
         about: "2 with little bandwidth and gusts",
         toml: include_str!("../../presets/demo.toml"),
+    },
+    Preset {
+        name: "lowest-bandwidth",
+        about: "2 at the lowest bandwidth of the sweep",
+        toml: include_str!("../../presets/lowest-bandwidth.toml"),
     },
     Preset {
         name: "gusty",

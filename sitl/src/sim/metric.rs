@@ -27,6 +27,16 @@ pub enum Metric {
     CollisionProbability,
     /// Intervals in outage (the paper's T_out is this times Δt).
     Outages,
+    /// J = Σ ℓ_k, the stage cost of Eq. (9) on true states, with the scenario's weights: what every controller is
+    /// compared by. Ours to print; the paper optimises it in latents.
+    StageCost,
+    /// First interval from which on it stays in the goal region to the end; the flight's length if it does not
+    /// end there. Ours.
+    TimeToGoal,
+    /// How far it got past the goal, along the line from start to goal, units; 0 if never. Ours.
+    Overshoot,
+    /// How often an outage began: episodes, not intervals. Ours.
+    OutageEpisodes,
     /// How often it touched an obstacle: entries, not intervals. Ours.
     Collisions,
     /// How often it touched the field's edge: entries, not intervals. Ours.
@@ -77,15 +87,24 @@ const EVENTS: About =
 
 impl Metric {
     /// All of them, in the order of every table and figure.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 11] = [
         Self::TerminalDistance,
         Self::TransmitEnergy,
         Self::PropulsionEnergy,
         Self::CollisionProbability,
         Self::Outages,
+        Self::StageCost,
+        Self::TimeToGoal,
+        Self::Overshoot,
+        Self::OutageEpisodes,
         Self::Collisions,
         Self::EdgeContacts,
     ];
+
+    /// Those of which the ratio to CRPL is told: the paper's and J.
+    pub fn compared() -> impl Iterator<Item = Self> {
+        Self::of_paper().chain([Self::StageCost])
+    }
 
     /// Those of the paper: the panels of Figs. 6 and 7 and the ratios to CRPL.
     pub fn of_paper() -> impl Iterator<Item = Self> {
@@ -108,6 +127,18 @@ impl Metric {
             }
             Self::CollisionProbability => records.iter().map(|r| r.p_coll).fold(0.0, f64::max),
             Self::Outages => records.iter().filter(|r| r.outage).count() as f64,
+            Self::StageCost => records.iter().map(|r| scenario.stage_cost(r.r_next, r.flown, r.power)).sum(),
+            Self::TimeToGoal => {
+                let inside = |r: &&Record| (r.r_next - scenario.goal).norm() <= scenario.goal_radius;
+                let stayed = records.iter().rev().take_while(inside).count();
+                (if stayed == 0 { records.len() } else { records.len() - stayed + 1 }) as f64
+            }
+            Self::Overshoot => {
+                let way = scenario.goal - scenario.start;
+                let along = |r: &Record| (r.r_next - scenario.goal).dot(&way) / way.norm().max(f64::MIN_POSITIVE);
+                records.iter().map(along).fold(0.0, f64::max)
+            }
+            Self::OutageEpisodes => entries(records, |r| r.outage),
             Self::Collisions => entries(records, |r| r.collided),
             Self::EdgeContacts => entries(records, |r| r.edge),
         }
@@ -159,6 +190,37 @@ impl Metric {
                 floor: 1.0,
                 ..ABOUT
             },
+            Self::StageCost => About {
+                key: "j",
+                symbol: "J",
+                title: "sum of the stage cost",
+                head: "J",
+                is_of_paper: false,
+                ..ABOUT
+            },
+            Self::TimeToGoal => About {
+                key: "t_goal",
+                symbol: "t_goal",
+                title: "interval from which on it stays at the goal",
+                head: "t_goal",
+                flight_decimals: 0,
+                decimals: 1,
+                count: Count::Intervals,
+                floor: 1.0,
+                is_of_paper: false,
+                ..ABOUT
+            },
+            Self::Overshoot => About {
+                key: "overshoot",
+                symbol: "past",
+                title: "largest distance past the goal",
+                head: "past goal",
+                is_of_paper: false,
+                ..ABOUT
+            },
+            Self::OutageEpisodes => {
+                About { key: "outage_episodes", symbol: "outages", title: "times the link was lost", head: "outages", ..EVENTS }
+            }
             Self::Collisions => About {
                 key: "collisions",
                 symbol: "coll",

@@ -235,6 +235,7 @@ static AFTER_OBSTACLES: &[ParamSlot] = &[
         |s, v| s.channel.distance_floor = units(s, v),
     ),
     real("SAFE_D_MIN", |s| metres(s, s.safety.d_min), |s, v| s.safety.d_min = units(s, v)),
+    real("SAFE_EDGE", |s| metres(s, s.safety.edge_margin), |s, v| s.safety.edge_margin = units(s, v)),
     real("SAFE_SOFT", |s| metres(s, s.safety.softness), |s, v| s.safety.softness = units(s, v)),
     real("SAFE_TOL_COLL", |s| s.safety.collision_tolerance, |s, v| s.safety.collision_tolerance = v),
     real("SAFE_TOL_OUT", |s| s.safety.outage_tolerance, |s, v| s.safety.outage_tolerance = v),

@@ -183,11 +183,11 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         out.push_str(
             "\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n",
         );
-        head(&mut out, &mut Metric::of_paper(), |_| 22, "");
+        head(&mut out, &mut Metric::compared(), |_| 22, "");
     }
     for row in others() {
         let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
-        for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::of_paper().map(|m| ratios[m])) {
+        for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
             let _ = write!(out, "{:>22}", ratio_cell(&ratio));
         }
         out.push('\n');

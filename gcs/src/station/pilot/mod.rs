@@ -6,21 +6,22 @@
 //! | [`crpl_bw`] | the same, channel head, radio constants | latents |
 //! | [`crpl_rh`] | the same, Algorithm 1's planning problem, horizon | tick, latents |
 //! | [`crpl_exact_latents`] | as `crpl` | true present state (for measurements) |
-//! | [`apc`] | the whole scenario: the oracle knows the equations | true present state |
-//! | [`rcc`], [`ucc`] | goal, limits, safety, radii, γ_min | true present state, last measured SNR |
+//! | [`apc`] | the whole scenario: the oracle knows the equations | tick, true present state |
+//! | [`apc_paper`] | the same | true present state |
+//! | [`reactive`]: rcc, ucc | goal, limits, safety, radii, γ_min | true present state, last measured SNR |
 //!
 //! To add a controller: its file, and here a variant of [`Controller`], of [`Pilot`], and one arm each in
 //! [`Pilot::load`] and [`Pilot::decide`].
 
 pub mod apc;
+pub mod apc_paper;
 pub mod crpl;
 pub mod crpl_bw;
 pub mod crpl_exact_latents;
 pub mod crpl_rh;
-pub mod rcc;
+pub mod laws;
 pub mod reactive;
 pub mod track;
-pub mod ucc;
 
 use std::sync::Arc;
 
@@ -35,7 +36,7 @@ use serde::{Deserialize, Serialize};
 use crate::station::belief::Belief;
 use crate::station::models::{ChosenPolicies, Models, PolicyOrigin, PolicyUse};
 use crate::station::seen::{Heard, MotionLimits, RadioConstants};
-use reactive::Present;
+use reactive::{Law, Present, Reactive, Task};
 
 /// The controllers by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
@@ -51,10 +52,16 @@ pub enum Controller {
     CrplRh,
     /// Analytical predictive control: the oracle, from telemetry and the equations
     Apc,
-    /// Reactive constrained control, from present telemetry
+    /// Reactive constrained control, from present telemetry, tuned
     Rcc,
-    /// Unconstrained communication control, from present telemetry
+    /// Unconstrained communication control, from present telemetry, tuned
     Ucc,
+    /// The simplest analytical predictive control: obstacles stand, no gusts
+    ApcPaper,
+    /// Reactive constrained control with untuned gains
+    RccPaper,
+    /// Unconstrained communication control with untuned gains
+    UccPaper,
 }
 
 impl Controller {
@@ -84,10 +91,10 @@ pub enum Pilot {
     CrplRh(Box<crpl_rh::CrplRh>),
     /// See [`apc`].
     Apc(Box<apc::Apc>),
-    /// See [`rcc`].
-    Rcc(rcc::Rcc),
-    /// See [`ucc`].
-    Ucc(ucc::Ucc),
+    /// See [`apc_paper`].
+    ApcPaper(Box<apc_paper::ApcPaper>),
+    /// See [`reactive`].
+    Reactive(Reactive),
 }
 
 impl Pilot {
@@ -118,6 +125,7 @@ impl Pilot {
             );
             Ok(crpl_bw::MatchedPower::new(Arc::new(models.world.station_heads(scenario)), radio))
         };
+        let reactive = |law: Law| Self::Reactive(Reactive::new(law, Task::of(scenario)));
         let pilot = match controller {
             Controller::Crpl => Self::Crpl(crpl()?),
             Controller::CrplBw => Self::CrplBw(crpl_bw::CrplBw::new(crpl()?, power()?)),
@@ -135,8 +143,11 @@ impl Pilot {
                 Self::CrplExactLatents(crpl_exact_latents::CrplExactLatents::new(crpl()?, world))
             }
             Controller::Apc => Self::Apc(Box::new(apc::Apc::new(scenario))),
-            Controller::Rcc => Self::Rcc(rcc::Rcc::new(reactive::Task::of(scenario))),
-            Controller::Ucc => Self::Ucc(ucc::Ucc::new(reactive::Task::of(scenario))),
+            Controller::ApcPaper => Self::ApcPaper(Box::new(apc_paper::ApcPaper::new(scenario))),
+            Controller::Rcc => reactive(models.laws.rcc.clone()),
+            Controller::Ucc => reactive(models.laws.ucc.clone()),
+            Controller::RccPaper => reactive(Law::RCC_PAPER),
+            Controller::UccPaper => reactive(Law::UCC_PAPER),
         };
         Ok((pilot, origin))
     }
@@ -150,9 +161,9 @@ impl Pilot {
             Self::CrplBw(crpl) => crpl.decide(belief.latents()),
             Self::CrplRh(crpl) => crpl.decide(Heard::from(telemetry).tick, belief.latents()),
             Self::CrplExactLatents(crpl) => crpl.decide(&present()),
-            Self::Apc(apc) => apc.decide(&present()),
-            Self::Rcc(rcc) => rcc.decide(&present()),
-            Self::Ucc(ucc) => ucc.decide(&present()),
+            Self::Apc(apc) => apc.decide(Heard::from(telemetry).tick, &present()),
+            Self::ApcPaper(apc) => apc.decide(&present()),
+            Self::Reactive(reactive) => reactive.decide(&present()),
         }
     }
 }

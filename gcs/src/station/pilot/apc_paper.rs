@@ -1,5 +1,5 @@
-//! APC, the analytical predictive controller: an oracle that knows the equations and looks ahead in
-//! them at every interval. It shows what can be had, and cannot be built in practice.
+//! `apc-paper`, the simplest analytical predictive controller: it knows the equations and looks ahead in them at
+//! every interval, with obstacles that stand still and without gusts. No bound: [`super::apc`] is the oracle.
 //!
 //! Beam search over motions that are held a few intervals each, without disturbance; both sides of
 //! the first obstacle survive the pruning (all of it our choice; docs/choices.md).
@@ -19,8 +19,6 @@ const HOLD: usize = 4;
 const DEPTH: usize = 7;
 /// Nodes that survive on each side of the first obstacle.
 const SIDE: usize = 12;
-/// Weights of distance, motion and power, as in CRPL's objective.
-const LAMBDA: [f64; 3] = [0.05, 1e-4, 1e-5];
 /// Low power is enough where it reaches this times γ_min.
 const HEADROOM: f64 = 1.05;
 /// Intervals that the power looks ahead.
@@ -35,14 +33,14 @@ struct Node {
     first: Motion,
 }
 
-/// The oracle, with the equations, which are the scenario.
+/// The beam search, with the equations, which are the scenario.
 #[derive(Debug, Clone)]
-pub struct Apc {
+pub struct ApcPaper {
     scenario: Scenario,
 }
 
-impl Apc {
-    /// The oracle of `scenario`.
+impl ApcPaper {
+    /// The search in `scenario`.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         Self { scenario: scenario.clone() }
@@ -89,7 +87,7 @@ fn hold(node: &Node, motion: Motion, is_first: bool, obstacles: &Obstacles, scen
         cost += stage_cost(state.r, a, obstacles, scenario);
     }
     let ahead = state.r + 6.0 * state.v - scenario.goal;
-    let rank = cost + 12.0 * LAMBDA[0] * ahead.norm_squared();
+    let rank = cost + 12.0 * scenario.cost.goal * ahead.norm_squared();
     Node { state, cost, rank, first: if is_first { motion } else { node.first } }
 }
 
@@ -101,9 +99,7 @@ fn stage_cost(r: Vector2<f64>, a: Vector2<f64>, obstacles: &Obstacles, scenario:
     let power = if snr >= HEADROOM * snr_min { TxPower::Low } else { TxPower::High };
     let outage = sigmoid(5.0 * (1.0 - 4.0 * snr / snr_min));
     let risk = obstacles.collision_probability(r, scenario);
-    LAMBDA[0] * (r - scenario.goal).norm_squared()
-        + LAMBDA[1] * a.norm_squared()
-        + LAMBDA[2] * power.level() * power.level()
+    scenario.stage_cost(r, a, power)
         + outage / (scenario.horizon as f64 * limits.outage_tolerance)
         + 5.0 * (risk - 0.8 * limits.collision_tolerance).max(0.0)
 }
