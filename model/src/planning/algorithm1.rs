@@ -251,6 +251,13 @@ impl Windows {
     }
 }
 
+/// The objective of the warm start and of the choice: without the terminal cost, which says nothing of the way.
+fn leading(problem: &PlanningProblem, config: &OptimiseConfig) -> Objective {
+    let mut o = problem.objective(&config.objective, config.snr_headroom);
+    o.cost.settle = 0.0;
+    o
+}
+
 /// Iterations of one phase.
 fn run_phase(
     problem: &PlanningProblem,
@@ -263,7 +270,10 @@ fn run_phase(
 ) {
     let mut adam = Adam::of(net, Betas::SLOW);
     let options = RolloutOptions { eta: phase.eta, power: 4.0, execution: Execution::Nearest };
-    let o = problem.objective(&config.objective, config.snr_headroom);
+    let o = match phase.side {
+        PassingSide::Chosen => problem.objective(&config.objective, config.snr_headroom),
+        _ => leading(problem, config),
+    };
     // The short stretches past a displaced obstacle only lead the way: averaging would hold them back.
     let is_short = phase.iterations < 4 * config.averaged_iterations;
     let mut windows = Windows::new(config);
@@ -299,6 +309,7 @@ fn measure(
     problem: &PlanningProblem,
     config: &OptimiseConfig,
     noise: &Noise,
+    o: &Objective,
     motion: &Mlp,
     index: u64,
     all: &mut Scores,
@@ -306,8 +317,7 @@ fn measure(
     let options = RolloutOptions { eta: None, power: 4.0, execution: Execution::Nearest };
     let portion = config.comparison_rollouts.min(PORTION);
     let draws = problem.draws(noise, Stream::Evaluation, index, portion, problem.obstacle, config.horizon);
-    let o = problem.objective(&config.objective, config.snr_headroom);
-    let (_, scores) = objective::evaluate(&problem.plant, &o, options, motion, &draws);
+    let (_, scores) = objective::evaluate(&problem.plant, o, options, motion, &draws);
     all.cost.extend(scores.cost);
     all.safe.extend(scores.safe);
     all.comm.extend(scores.comm);
@@ -333,12 +343,12 @@ fn choose(
     let (Some(right), Some(left)) = (&progress.right, &progress.left) else {
         return Err(OptimiseError::Progress("saved progress lacks a candidate".into()));
     };
-    let o = problem.objective(&config.objective, config.snr_headroom);
+    let o = leading(problem, config);
     let mut scores = [Scores::default(), Scores::default()];
     let (r, l, margin, margin_se) = loop {
         let index = (scores[0].cost.len() / PORTION) as u64;
         for (net, scores) in [right, left].into_iter().zip(&mut scores) {
-            measure(problem, config, noise, net, index, scores);
+            measure(problem, config, noise, &o, net, index, scores);
         }
         let [r, l] = [0, 1].map(|n| estimate(&o, 1.0, &scores[n]));
         let (ir, il) =
@@ -433,7 +443,7 @@ fn finish(
     let (p_comm_executed, mean_power) = executed_power(sharp, &policies, &blocks);
     let mut scores = Scores::default();
     for index in 0..2 {
-        measure(problem, config, noise, &policies.motion, index, &mut scores);
+        measure(problem, config, noise, o, &policies.motion, index, &mut scores);
     }
     let motion_estimate = estimate(o, last_eta, &scores);
     Ok((policies, OptimiseOutcome { comparison, motion: motion_estimate, p_comm_executed, mean_power }))

@@ -26,6 +26,8 @@ pub struct OptimiseConfig {
     pub gradient_clip: f32,
     /// Least standard deviation of the gusts in training rollouts, per axis, units per interval.
     pub gust_std: f64,
+    /// Each rollout has gusts of its own strength, from this share of the full one up to it.
+    pub gust_least: f64,
     /// Gusts in training rollouts over those of the scenario, at least.
     pub gust_factor: f64,
     /// Softness of the edge's risk in rollouts, units.
@@ -100,6 +102,7 @@ impl Default for OptimiseConfig {
             learning_rate: 1e-3,
             gradient_clip: 1.0,
             gust_std: 0.0027,
+            gust_least: 1.0,
             gust_factor: 1.8,
             edge_softness: 0.01,
             snr_headroom: 1.08,

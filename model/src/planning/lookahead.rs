@@ -85,7 +85,7 @@ impl Lookahead {
         if horizon == 0 {
             return None;
         }
-        let calm = problem.calm(state, horizon);
+        let calm = Draws { beyond: remaining - horizon, ..problem.calm(state, horizon) };
         let draws: Vec<Draws> = self
             .openings
             .chunks(LANES)
@@ -135,6 +135,7 @@ impl PlanningProblem {
             obstacles: state.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
             reported_obstacle: Some(self.obstacle),
             wind: vec![[ZERO; 2]; horizon],
+            beyond: 0,
             opening: Vec::new(),
         }
     }

@@ -106,6 +106,8 @@ pub struct Draws {
     pub reported_obstacle: Option<[f32; 2]>,
     /// Gusts in units of a_max, one `[Lane; 2]` an interval; its length is the horizon H.
     pub wind: Vec<[Lane; 2]>,
+    /// Intervals of the flight that follow the rollout's last one.
+    pub beyond: usize,
     /// Motions of the first intervals that are not the policy's, one row an interval; for
     /// [`evaluate`](crate::planning::objective::evaluate) alone,
     /// [`gradient`](crate::planning::objective::gradient) takes them for the policy's own.

@@ -48,6 +48,8 @@ pub struct PlanningProblem {
     pub(super) displaced: [Vec<[f32; 2]>; 2],
     /// gust_std / a_max
     wind: f32,
+    /// The weakest gusts of a rollout over these.
+    wind_least: f32,
     /// The SNR that a packet of the scenario needs, linear.
     required_snr: f64,
     /// δ1 and δ2 of the scenario.
@@ -143,6 +145,7 @@ impl PlanningProblem {
             starts,
             wind: (config.gust_std.max(config.gust_factor * scenario.disturbance.gust_std())
                 / scenario.dynamics.a_max) as f32,
+            wind_least: config.gust_least as f32,
             world: String::new(),
             required_snr: scope::required_snr(scenario),
             tolerances: [scenario.safety.collision_tolerance, scenario.safety.outage_tolerance],
@@ -195,6 +198,7 @@ impl PlanningProblem {
                     obstacles: state.y_u.iter().map(|y_u| y_u.map(lanes)).collect(),
                     reported_obstacle: Some(self.obstacle),
                     wind: (0..horizon).map(|_| [lane(), lane()]).collect(),
+                    beyond: 0,
                     opening: Vec::new(),
                 }
             })
@@ -225,15 +229,20 @@ impl PlanningProblem {
                         start[1][i][l] = before[i];
                     }
                 }
+                let strength: Lane = match self.wind_least {
+                    1.0 => [self.wind; LANES],
+                    least => std::array::from_fn(|_| self.wind * rng.random_range(least..=1.0)),
+                };
                 let mut lane = || -> Lane {
-                    std::array::from_fn(|_| {
+                    std::array::from_fn(|l| {
                         let z: f64 = StandardNormal.sample(&mut rng);
-                        self.wind * z as f32
+                        strength[l] * z as f32
                     })
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
                 let obstacles = vec![[fixed, fixed]];
-                Draws { start, obstacles, reported_obstacle: None, wind, opening: Vec::new() }
+                Draws { start, obstacles, reported_obstacle: None, wind, beyond: 0,
+                    opening: Vec::new() }
             })
             .collect()
     }

@@ -32,6 +32,8 @@ pub(super) struct RolloutTrace {
     /// γ/γ_min and smooth outage at k.
     ratio: Vec<Lane>,
     outage: Vec<Lane>,
+    /// Intervals of the flight after the rollout.
+    beyond: usize,
     /// What the predictor takes back.
     memory: Memory,
     pub(super) cost: Lane,
@@ -89,6 +91,7 @@ pub(super) fn forward(
         weight: vec![ZERO; horizon],
         ratio: vec![ZERO; horizon],
         outage: vec![ZERO; horizon],
+        beyond: draws.beyond,
         memory: Memory::default(),
         cost: ZERO,
         safe: ZERO,
@@ -106,7 +109,7 @@ pub(super) fn forward(
     let reach = plant.scale * plant.v_max;
 
     for k in 0..horizon {
-        let goal_weight = goal_weight(plant, objective, horizon - k);
+        let goal_weight = goal_weight(plant, objective, horizon - k + t.beyond);
         let (now, before) = (t.y[k + 1], t.y[k]);
         let reported = draws.reported_obstacle.map_or_else(|| t.u[0][k + 1], |y_u| y_u.map(|v| [v; LANES]));
         let x = &mut t.x[k * FEATURES..(k + 1) * FEATURES];
@@ -280,7 +283,7 @@ fn outer_slopes(plant: &Plant, objective: &Objective, share: &Share, t: &Rollout
     let mut g = vec![[ZERO; 2]; horizon + 1];
     for k in 0..horizon {
         let after = k + 2;
-        let goal = 2.0 * share.each * goal_weight(plant, objective, horizon - k);
+        let goal = 2.0 * share.each * goal_weight(plant, objective, horizon - k + t.beyond);
         for i in 0..2 {
             for l in 0..LANES {
                 g[k + 1][i][l] += goal * (t.y[after][i][l] - plant.goal[i]);
