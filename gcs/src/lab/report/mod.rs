@@ -101,7 +101,7 @@ pub fn run(args: &Report) -> Result<()> {
     let mut rows = Vec::new();
     if let Some(finished) = finished {
         create(&out)?;
-        rows.extend(finished.show(&mut page, &out, "")?);
+        rows.extend(show(&finished, &mut page, &out, "")?);
     } else {
         let mut models = args.models.load()?;
         rows.extend(scenarios(&mut page, &out, &mut models, args)?);
@@ -168,9 +168,17 @@ fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -
         let dir = out.join(&plan.name);
         let folder = Folder::begin(&dir, plan, Shard::WHOLE)?;
         let episodes = sweep::complete(&folder, models)?;
-        rows.extend(Finished::new(folder, episodes).show(page, out, words)?);
+        rows.extend(show(&Finished::new(folder, episodes), page, out, words)?);
     }
     Ok(rows)
+}
+
+/// A sweep's section, files and printed verdicts.
+fn show(finished: &Finished, page: &mut Page, out: &Path, words: &str) -> Result<Vec<VerdictRow>> {
+    let verdicts = finished.verdicts();
+    finished.show(page, out, words, &verdicts)?;
+    println!("{}", finished.text(&verdicts));
+    Ok(verdicts)
 }
 
 /// Fig. 3 needs no flight: the page names the command that measures it.

@@ -48,9 +48,10 @@ pub enum SweepQuantity {
 /// A quantity of flights in Scenarios 1 and 2: without gusts there is one flight, and no interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FlightQuantity {
-    /// Intervals from the first at high power to the first in which low power fails; negative if raised after.
+    /// Intervals from the first at high power to the need of it: to the first in which low power gives less than
+    /// γ_min. Negative if raised after.
     Lead,
-    /// Intervals from the last in which low power fails to the last at high power.
+    /// Intervals from the last in which high power is needed to the last at high power.
     Overhang,
     /// Intervals in which the SNR is below γ_min.
     Violations,
@@ -174,21 +175,21 @@ impl SweepQuantity {
         match self {
             Self::Ratio(m, x) => format!("{}: {of} over {over} at {x}", m.symbol()),
             Self::MedianRatio(m) => format!("{}: {of} over {over} at the median point", m.symbol()),
-            Self::LargestRatio(m) => format!("{}: {of} over {over} at the point where largest", m.symbol()),
+            Self::LargestRatio(m) => format!("{}: {of} over {over} at its largest point", m.symbol()),
             Self::Difference(m, x) => format!("{}: {of} less {over} at {x}", m.symbol()),
             Self::Spread(m, x) => format!("spread of {}: {of} less {over} at {x}", m.symbol()),
             Self::Separation([a, b], x) => {
                 format!("{of} over {over} at {x}: {} less {}", a.symbol(), b.symbol())
             }
-            Self::Change(m, [from, to]) => format!("{}: {of} at {to} over at {from}", m.symbol()),
+            Self::Change(m, [from, to]) => format!("{}: growth of {of} {from} to {to}", m.symbol()),
             Self::Bend(m, [a, b, c]) => {
-                format!("{}: {of} change {b} to {c} less change {a} to {b}", m.symbol())
+                format!("{}: {of} change {b} to {c} less {a} to {b}", m.symbol())
             }
             Self::Outgrowth(m, [from, to]) => {
-                format!("{}: {of} over {over} at {to} over the same at {from}", m.symbol())
+                format!("{}: growth of {of} over {over} {from} to {to}", m.symbol())
             }
             Self::OracleDistance(m, x) => {
-                format!("{}: |{of} - apc| less |{over} - apc| at {x}", m.symbol())
+                format!("{}: |{of}-apc| less |{over}-apc| at {x}", m.symbol())
             }
         }
     }
@@ -218,17 +219,17 @@ impl FlightQuantity {
         let Subject { of, over } = who;
         let over = over.map_or(String::new(), |over| over.to_string());
         match self {
-            Self::Lead => format!("intervals by which {of} raises power before low power fails"),
-            Self::Overhang => format!("intervals by which {of} lowers power after low power does again"),
-            Self::Violations => format!("intervals of {of} with SNR < γ_min"),
+            Self::Lead => format!("{of} raises power before need by intervals"),
+            Self::Overhang => format!("{of} lowers power after need by intervals"),
+            Self::Violations => format!("SNR < γ_min: intervals of {of}"),
             Self::HighPower => format!("intervals at high power: {of} less {over}"),
             Self::LeastSnr => format!("least SNR: {of} less {over}"),
-            Self::Side => format!("y of {of} abreast of the obstacle less the obstacle's"),
+            Self::Side => format!("y abreast: {of} less the obstacle"),
             Self::Ratio(m) => format!("{}: {of} over {over}", m.symbol()),
-            Self::Apartness(m) => format!("{}: |{of} - crpl| less |{over} - crpl|", m.symbol()),
-            Self::Detour => format!("detour of {of}: Scenario 1 less Scenario 2"),
+            Self::Apartness(m) => format!("{}: |{of}-crpl| less |{over}-crpl|", m.symbol()),
+            Self::Detour => format!("detour of {of}: Scenario 1 less 2"),
             Self::Separation(m) => {
-                format!("|{} of {of} over {over} - 1|: Scenario 1 less Scenario 2", m.symbol())
+                format!("|{}: {of} over {over} - 1|: Scenario 1 less 2", m.symbol())
             }
         }
     }

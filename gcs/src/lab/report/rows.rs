@@ -134,7 +134,7 @@ impl VerdictRow {
 
     fn line(&self) -> String {
         let (verdict, ours) = (self.verdict_cell(), self.ours_cell());
-        let start = format!("  {verdict:<24}  {:>12}  {ours:>26}  {:<8}", self.paper, self.section);
+        let start = format!("{verdict:<24}  {:>12}  {ours:>26}  {:<8}", self.paper, self.section);
         let mut out = String::new();
         for (n, part) in wrapped(&self.quantity, WIDTH - BEFORE).iter().enumerate() {
             let start = if n == 0 { start.as_str() } else { "" };
@@ -163,14 +163,14 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 #[must_use]
 pub fn text(rows: &[VerdictRow]) -> String {
     let mut out = format!(
-        "  {:<24}  {:>12}  {:>26}  {:<8}  {}\n",
+        "{:<24}  {:>12}  {:>26}  {:<8}  {}\n",
         "verdict", "paper", "ours [95 %]", "section", "quantity"
     );
     rows.iter().for_each(|row| out += &row.line());
     if rows.iter().any(|row| row.verdict_cell().ends_with('*')) {
-        let _ = writeln!(out, "  {UNDECIDED}");
+        let _ = writeln!(out, "{UNDECIDED}");
     }
-    let _ = writeln!(out, "  {}", counts(rows));
+    let _ = writeln!(out, "{}", counts(rows));
     out
 }
 

@@ -388,7 +388,9 @@ mod tests {
         }
         let verdicts = flown[1].verdicts(&flown);
         let side = |controller: &str| {
-            let row = verdicts.iter().find(|row| row.quantity.starts_with(&format!("y of {controller}")));
+            let row = verdicts
+                .iter()
+                .find(|row| row.quantity == format!("y abreast: {controller} less the obstacle"));
             row.unwrap().verdict()
         };
         assert_eq!(

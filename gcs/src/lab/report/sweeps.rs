@@ -15,6 +15,7 @@ use super::rows::{self, VerdictRow};
 use super::verdict::Said;
 use crate::lab::sweep::episode::SweepEpisode;
 use crate::lab::sweep::folder::Folder;
+use crate::lab::sweep::plan::SweepPlan;
 use crate::lab::sweep::table::{self, TableRow};
 use crate::station::pilot::Controller;
 
@@ -32,12 +33,6 @@ impl Finished {
     pub fn new(folder: Folder, episodes: Vec<SweepEpisode>) -> Self {
         let rows = table::rows(&folder.plan, &episodes);
         Self { folder, episodes, rows }
-    }
-
-    /// Name of the sweep.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.folder.plan.name
     }
 
     fn row(&self, x: f64, controller: Controller) -> Option<&TableRow> {
@@ -113,11 +108,18 @@ impl Finished {
         }
     }
 
-    /// Adds a section, prints the verdicts, and leaves figures and tables in `dir`.
+    /// Verdicts, for a terminal.
+    #[must_use]
+    pub fn text(&self, verdicts: &[VerdictRow]) -> String {
+        let SweepPlan { name, axis, .. } = &self.folder.plan;
+        format!("Sweep {name} over {axis}\n{}", rows::text(verdicts))
+    }
+
+    /// Adds a section, and leaves figures and tables in `dir`.
     ///
     /// # Errors
     /// A figure or table cannot be written.
-    pub fn show(&self, page: &mut Page, dir: &Path, words: &str) -> Result<Vec<VerdictRow>> {
+    pub fn show(&self, page: &mut Page, dir: &Path, words: &str, verdicts: &[VerdictRow]) -> Result<()> {
         let plan = &self.folder.plan;
         page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axis));
         page.text(&format!(
@@ -132,9 +134,7 @@ impl Finished {
         if !plan.uncovered.is_empty() {
             page.text(table::uncovered(plan).trim());
         }
-        let verdicts = self.verdicts();
-        println!("Sweep {} over {}\n{}", plan.name, plan.axis, rows::text(&verdicts));
-        page.verdicts(&verdicts);
+        page.verdicts(verdicts);
         let key = |(n, c): (usize, &Controller)| (c.to_string(), rgb(n));
         page.key(&plan.controllers.iter().enumerate().map(key).collect::<Vec<_>>());
         let panels = self.panels();
@@ -151,8 +151,7 @@ impl Finished {
         page.folded("The resolved sweep", &toml::to_string(plan)?);
         chart::save(&Grid { figures: &panels, columns: 3 }, dir, &plan.name)?;
         super::write(dir, &format!("{}.csv", plan.name), &table::csv(plan, &self.rows))?;
-        super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows))?;
-        Ok(verdicts)
+        super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows))
     }
 
     fn tables(&self, page: &mut Page) {
