@@ -2,13 +2,21 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`scenarios`] | Figs. 4 and 5: flights without gusts, told in sentences |
+//! | [`scenarios`] | Figs. 4 and 5: flights without gusts |
 //! | [`sweeps`] | Figs. 6 and 7: a sweep's folder as panels and tables |
+//! | [`claims`] | every claim of the paper that flights decide |
+//! | [`quantities`] | what measures a claim |
+//! | [`verdict`] | what an interval of ours says of a claim |
+//! | [`rows`] | claims with verdicts: text and CSV |
 //! | [`page`] | HTML |
 
+pub mod claims;
 pub mod page;
+pub mod quantities;
+pub mod rows;
 pub mod scenarios;
 pub mod sweeps;
+pub mod verdict;
 
 use std::path::{Path, PathBuf};
 
@@ -25,6 +33,7 @@ use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
 use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::Controller;
 use page::Page;
+use rows::VerdictRow;
 use sweeps::Finished;
 
 /// The sweeps of `gcs report all`: file, text, and what there is to say first.
@@ -62,23 +71,6 @@ pub struct Report {
     out: Option<PathBuf>,
 }
 
-/// A statement that measured numbers decide.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Claim {
-    /// Whether it came out as the paper says.
-    pub holds: bool,
-    /// What was measured, in a sentence.
-    pub text: String,
-}
-
-impl Claim {
-    /// In words.
-    #[must_use]
-    pub fn verdict(&self) -> &'static str {
-        if self.holds { "holds" } else { "does not hold" }
-    }
-}
-
 /// Colour of the nth controller for a style sheet.
 fn rgb(n: usize) -> String {
     let RGBColor(r, g, b) = chart::colour(n);
@@ -106,21 +98,23 @@ pub fn run(args: &Report) -> Result<()> {
         "scenarios" | "all" => None,
         dir => Some(open(Path::new(dir))?),
     };
+    let mut rows = Vec::new();
     if let Some(finished) = finished {
         create(&out)?;
-        finished.show(&mut page, &out, "")?;
-        print!("{}", finished.text());
+        rows.extend(show(&finished, &mut page, &out, "")?);
     } else {
         let mut models = args.models.load()?;
-        scenarios(&mut page, &out, &mut models, args)?;
+        rows.extend(scenarios(&mut page, &out, &mut models, args)?);
         if args.what == "all" {
-            all_sweeps(&mut page, &out, &mut models, args)?;
+            rows.extend(all_sweeps(&mut page, &out, &mut models, args)?);
+            rows.extend(rollouts(&mut page));
+            println!("{}", rows::counts(&rows));
         }
     }
+    write(&out, "verdicts.csv", &rows::csv(&rows))?;
     page.text(&format!("Made by gcs {} at revision {}.", env!("CARGO_PKG_VERSION"), crate::revision()));
-    let path = out.join("index.html");
-    std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))?;
-    println!("{}, with figures and tables beside it", path.display());
+    write(&out, "index.html", &page.html())?;
+    println!("{}, with figures and tables beside it", out.join("index.html").display());
     Ok(())
 }
 
@@ -129,15 +123,21 @@ fn create(out: &Path) -> Result<()> {
     std::fs::create_dir_all(out).with_context(|| format!("creating {}", out.display()))
 }
 
+/// Writes a file of the report.
+fn write(dir: &Path, name: &str, text: &str) -> Result<()> {
+    let path = dir.join(name);
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
+}
+
 fn open(dir: &Path) -> Result<Finished> {
     let folder = Folder::open(dir)?;
     let episodes = folder.finished()?;
     let episodes =
         episodes.with_context(|| format!("{} is not finished: run its `gcs sweep` again", dir.display()))?;
-    Ok(Finished::new(folder, &episodes))
+    Ok(Finished::new(folder, episodes))
 }
 
-fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<()> {
+fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<Vec<VerdictRow>> {
     let paper = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
     let controllers = args.controller.as_deref().unwrap_or(&paper);
     for scenario in scenarios::worlds()? {
@@ -145,28 +145,47 @@ fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) ->
     }
     let flown = scenarios::fly(models, controllers, scenarios::GUSTY, Some(&StopSignal::listen()?))?;
     create(out)?;
-    for flown in flown {
-        flown.show(page, out)?;
-        println!("{}", flown.text());
+    let mut rows = Vec::new();
+    for scenario in &flown {
+        let verdicts = scenario.verdicts(&flown);
+        scenario.show(page, out, &verdicts)?;
+        println!("{}", scenario.text(&verdicts));
+        rows.extend(verdicts);
     }
-    Ok(())
+    Ok(rows)
 }
 
-fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<()> {
+fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -> Result<Vec<VerdictRow>> {
     let flags = Overrides {
         episodes: args.episodes,
         controllers: args.controller.clone(),
         ..sweep::overrides(&args.models)
     };
+    let mut rows = Vec::new();
     for (file, text, words) in SWEEPS {
         let file = SweepFile::parse(text).with_context(|| format!("reading {file}"))?;
         let plan = sweep::resolve(file, &flags, models)?;
         let dir = out.join(&plan.name);
         let folder = Folder::begin(&dir, plan, Shard::WHOLE)?;
         let episodes = sweep::complete(&folder, models)?;
-        let finished = Finished::new(folder, &episodes);
-        finished.show(page, out, words)?;
-        println!("{}", finished.text());
+        rows.extend(show(&Finished::new(folder, episodes), page, out, words)?);
     }
-    Ok(())
+    Ok(rows)
+}
+
+/// A sweep's section, files and printed verdicts.
+fn show(finished: &Finished, page: &mut Page, out: &Path, words: &str) -> Result<Vec<VerdictRow>> {
+    let verdicts = finished.verdicts();
+    finished.show(page, out, words, &verdicts)?;
+    println!("{}", finished.text(&verdicts));
+    Ok(verdicts)
+}
+
+/// Fig. 3 needs no flight: the page names the command that measures it.
+fn rollouts(page: &mut Page) -> Vec<VerdictRow> {
+    let rows: Vec<VerdictRow> = VerdictRow::of_rollouts().collect();
+    page.section("Rollouts (Fig. 3)");
+    page.text("Measured by model evaluate, which prints the paper's numbers beside ours.");
+    page.verdicts(&rows);
+    rows
 }

@@ -3,10 +3,13 @@
 
 use std::fmt::Write;
 
+use super::rows::{self, VerdictRow};
+use super::verdict::Verdict;
+
 /// The page's look. Pictures are drawn on white; in the dark they are turned round.
 const STYLE: &str = "\
-:root{color-scheme:light dark;--ink:#1b1f24;--paper:#fff;--line:#d0d7de;--soft:#57606a;--good:#116329;--bad:#a40e26}
-@media(prefers-color-scheme:dark){:root{--ink:#e6edf3;--paper:#0d1117;--line:#30363d;--soft:#9aa4af;--good:#56d364;--bad:#ff7b72}
+:root{color-scheme:light dark;--ink:#1b1f24;--paper:#fff;--line:#d0d7de;--soft:#57606a;--good:#116329;--bad:#a40e26;--mid:#7d4e00}
+@media(prefers-color-scheme:dark){:root{--ink:#e6edf3;--paper:#0d1117;--line:#30363d;--soft:#9aa4af;--good:#56d364;--bad:#ff7b72;--mid:#e3b341}
 figure svg{filter:invert(1) hue-rotate(180deg)}}
 body{font:16px/1.55 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:1440px;margin:0 auto;padding:1rem}
 h1{font-size:1.6rem}h2{font-size:1.25rem;margin-top:2.2rem;border-bottom:1px solid var(--line)}
@@ -16,7 +19,14 @@ figure{margin:0}figure svg{width:100%;height:auto}figcaption{color:var(--soft);f
 .wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
 th,td{padding:.25rem .6rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
 th:first-child,td:first-child,td.text{text-align:left}
-.good{color:var(--good)}.bad{color:var(--bad)}
+.verdicts td:nth-child(1){font-weight:600}.verdicts td:nth-child(4),.verdicts td:nth-child(5){text-align:left}
+.verdicts td:nth-child(1)::before{display:inline-block;width:1.4em}
+.agrees td:nth-child(1){color:var(--good)}.agrees td:nth-child(1)::before{content:\"=\"}
+.stronger td:nth-child(1){color:var(--good)}.stronger td:nth-child(1)::before{content:\"+\"}
+.weaker td:nth-child(1){color:var(--mid)}.weaker td:nth-child(1)::before{content:\"\\2212\"}
+.nothing td:nth-child(1){color:var(--soft)}.nothing td:nth-child(1)::before{content:\"0\"}
+.contradicts td:nth-child(1){color:var(--bad)}.contradicts td:nth-child(1)::before{content:\"\\d7\"}
+.missing td{color:var(--soft);font-style:italic}
 .key span{display:inline-block;margin-right:1.2rem}.key i{display:inline-block;width:1.1em;height:.25em;margin-right:.4em;vertical-align:middle}
 pre{overflow-x:auto;font-size:.8rem;border:1px solid var(--line);padding:.6rem}";
 
@@ -44,15 +54,21 @@ impl Page {
         let _ = writeln!(self.body, "<p>{}</p>", escape(text));
     }
 
-    /// Statements, each with its verdict.
-    pub fn claims(&mut self, claims: &[super::Claim]) {
-        self.body.push_str("<ul>\n");
-        for claim in claims {
-            let class = if claim.holds { "good" } else { "bad" };
-            let (verdict, text) = (claim.verdict(), escape(&claim.text));
-            let _ = writeln!(self.body, "<li><b class=\"{class}\">{verdict}</b> {text}</li>");
+    /// Claims of the paper, each with its verdict: told by sign and word, so colour is not needed.
+    pub fn verdicts(&mut self, rows: &[VerdictRow]) {
+        let heads = ["verdict", "paper", "ours [95 %]", "section", "quantity"];
+        let heads: String = heads.iter().map(|head| format!("<th>{head}</th>")).collect();
+        let _ = writeln!(self.body, "<div class=\"wide\"><table class=\"verdicts\"><tr>{heads}</tr>");
+        for row in rows {
+            let class = row.verdict().map_or("missing", Verdict::class);
+            let _ = write!(self.body, "<tr class=\"{class}\">");
+            for cell in [&row.verdict_cell(), &row.paper, &row.ours_cell(), row.section, &row.quantity] {
+                let _ = write!(self.body, "<td>{}</td>", escape(cell));
+            }
+            self.body.push_str("</tr>\n");
         }
-        self.body.push_str("</ul>\n");
+        self.body.push_str("</table></div>\n");
+        self.text(&format!("{}. {}.", rows::counts(rows), rows::UNDECIDED));
     }
 
     /// Pictures beside each other, or below each other where there is no room; SVG text and caption.

@@ -1,5 +1,5 @@
 //! The paper's Figs. 4 and 5: all controllers in Scenarios 1 and 2, without gusts and packet loss; what the
-//! flights show is told in sentences computed from their records.
+//! flights show is told in a table computed from their records.
 
 use std::path::Path;
 
@@ -12,8 +12,11 @@ use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Snr, TxPower};
 use rayon::prelude::*;
 
+use super::claims;
 use super::page::Page;
-use super::{Claim, rgb};
+use super::quantities::{FlightQuantity, Subject};
+use super::rgb;
+use super::rows::{self, VerdictRow};
 use crate::lab::Contender;
 use crate::lab::figures::FlightPath;
 use crate::station::models::Models;
@@ -27,9 +30,6 @@ pub const GUSTY: u64 = 200;
 
 /// Their σ_c and first seed.
 const GUSTS: (f64, u64) = (0.005, 100_000);
-
-/// The controllers of the paper (Sec. IV-A7).
-const PAPER: [Controller; 4] = [Controller::Crpl, Controller::Apc, Controller::Rcc, Controller::Ucc];
 
 /// One controller's flight, and what its records say.
 #[derive(Debug, Clone)]
@@ -87,20 +87,21 @@ impl ScenarioFlight {
         })
     }
 
-    fn passes_below(&self) -> bool {
-        self.score.is(FlightOutcome::Below)
+    /// Intervals from the first at high power to the first in which low power fails: negative if the power is
+    /// raised only after. `None` if low power never fails, or fails and the power is never raised.
+    fn lead(&self) -> Option<f64> {
+        Some(later(*self.high.first()?, *self.dark.first()?))
     }
 
-    /// Whether the power was raised before low power fails, and nothing failed.
-    fn raises_in_time(&self) -> bool {
-        self.violations.is_empty() && self.dark.first().is_none_or(|dark| self.high.first() <= Some(dark))
+    /// Intervals from the last in which low power fails to the last at high power.
+    fn overhang(&self) -> Option<f64> {
+        Some(later(*self.dark.last()?, *self.high.last()?))
     }
+}
 
-    /// Whether the power was raised once the SNR had been below γ_min, which then passed.
-    fn raises_late(&self) -> bool {
-        let (Some(dark), Some(high)) = (self.dark.first(), self.high.first()) else { return false };
-        high > dark && !self.violations.is_empty() && self.violations.last() < self.high.last()
-    }
+/// How many intervals `b` is later than `a`.
+fn later(a: u64, b: u64) -> f64 {
+    b as f64 - a as f64
 }
 
 /// The worlds that [`fly`] flies in: both scenarios, and Scenario 2 in gusts.
@@ -172,31 +173,50 @@ impl Flown {
         self.flights.iter().find(|f| f.controller == controller)
     }
 
-    /// What the paper says of this scenario, and whether these flights say the same.
+    /// What the paper says of this scenario, and what these flights say of that; `all` are both scenarios.
     #[must_use]
-    pub fn claims(&self) -> Vec<Claim> {
-        let mut claims = Vec::new();
-        for flight in PAPER.iter().filter_map(|c| self.of(*c)) {
-            let predictive = matches!(flight.controller, Controller::Crpl | Controller::Apc);
-            claims.push(match (self.number, predictive) {
-                (1, true) => timely(flight),
-                (1, false) => late(flight),
-                (_, true) => below_and_connected(flight),
-                (_, false) => through_the_shadow(flight),
-            });
-        }
-        if let (Some(crpl), Some(ucc)) = (self.of(Controller::Crpl), self.of(Controller::Ucc)) {
-            let risk = Metric::CollisionProbability;
-            let ratio = ucc.score[risk] / crpl.score[risk];
-            let (holds, paper) = if self.number == 1 {
-                ((0.9..=1.5).contains(&ratio), "the paper says about 1.2, and 0.9 to 1.5 counts as that")
-            } else {
-                (ratio >= 3.5, "the paper says about 4; at least 3.5 is asked for")
-            };
-            claims
-                .push(Claim { holds, text: format!("ucc's peak risk is {ratio:.2} times crpl's; {paper}.") });
-        }
-        claims
+    pub fn verdicts(&self, all: &[Self]) -> Vec<VerdictRow> {
+        let flown: Vec<Controller> = self.flights.iter().map(|flight| flight.controller).collect();
+        let study = format!("scenario{}", self.number);
+        claims::of_scenario(self.number)
+            .flat_map(|(claim, quantity)| claim.of_teams(&flown).into_iter().map(move |c| (c, quantity)))
+            .map(|(claim, quantity)| {
+                VerdictRow::of_flight(&study, &claim, quantity, self.measure(quantity, claim.who, all))
+            })
+            .collect()
+    }
+
+    /// `None` if a controller or the other scenario was not flown, or the flights do not have the quantity.
+    fn measure(&self, quantity: FlightQuantity, who: Subject, all: &[Self]) -> Option<f64> {
+        let of = self.of(who.of)?;
+        let over = || self.of(who.over?);
+        let [first, second] = [1, 2].map(|number| all.iter().find(|flown| flown.number == number));
+        Some(match quantity {
+            FlightQuantity::Lead => of.lead()?,
+            FlightQuantity::Overhang => of.overhang()?,
+            FlightQuantity::Violations => of.violations.len() as f64,
+            FlightQuantity::HighPower => of.high.len() as f64 - over()?.high.len() as f64,
+            FlightQuantity::LeastSnr => of.least_snr - over()?.least_snr,
+            FlightQuantity::Side => of.y_abreast? - self.scenario.obstacle().position.y,
+            FlightQuantity::Ratio(metric) => self.ratio(metric, who)?,
+            FlightQuantity::Apartness(metric) => {
+                let crpl = self.of(Controller::Crpl)?.score[metric];
+                (of.score[metric] - crpl).abs() - (over()?.score[metric] - crpl).abs()
+            }
+            FlightQuantity::Detour => first?.detour(who.of)? - second?.detour(who.of)?,
+            FlightQuantity::Separation(metric) => {
+                let apart = |flown: &Self| Some((flown.ratio(metric, who)? - 1.0).abs());
+                apart(first?)? - apart(second?)?
+            }
+        })
+    }
+
+    fn ratio(&self, metric: Metric, who: Subject) -> Option<f64> {
+        Some(self.of(who.of)?.score[metric] / self.of(who.over?)?.score[metric].max(metric.floor()))
+    }
+
+    fn detour(&self, controller: Controller) -> Option<f64> {
+        Some((self.of(controller)?.y_abreast? - self.scenario.start.y).abs())
     }
 
     /// A row per controller.
@@ -217,13 +237,11 @@ impl Flown {
         self.flights.iter().map(row).collect()
     }
 
-    /// Sentences and table, for a terminal.
+    /// Verdicts and table, for a terminal.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn text(&self, verdicts: &[VerdictRow]) -> String {
         let mut text = format!("Scenario {}, no gusts, no packet loss\n", self.number);
-        for claim in self.claims() {
-            text += &format!("  {:<13} {}\n", claim.verdict(), claim.text);
-        }
+        text += &rows::text(verdicts);
         let rows = self.rows();
         let head = head();
         let width = |n: usize| rows.iter().chain([&head]).map(|r| r[n].len()).max().unwrap_or(0);
@@ -273,14 +291,14 @@ impl Flown {
     ///
     /// # Errors
     /// A figure or table cannot be written.
-    pub fn show(&self, page: &mut Page, dir: &Path) -> Result<()> {
+    pub fn show(&self, page: &mut Page, dir: &Path, verdicts: &[VerdictRow]) -> Result<()> {
         let number = self.number;
         page.section(&format!("Scenario {number}: paths, SNR and risk"));
         page.text(
             "No gusts, every packet gets through. Grey is the obstacle's radio shadow, blue is low transmit \
              power, red is high. k counts control intervals.",
         );
-        page.claims(&self.claims());
+        page.verdicts(verdicts);
         let paths = self.flights.iter().map(|f| FlightPath {
             title: f.controller.to_string(),
             records: &f.records,
@@ -308,8 +326,7 @@ impl Flown {
         page.table(&head(), &self.rows());
         chart::save(&Grid { figures: &paths, columns: 4 }, dir, &format!("scenario{number}_paths"))?;
         chart::save(&Grid { figures: &panels, columns: 2 }, dir, &format!("scenario{number}_snr_risk"))?;
-        let path = dir.join(format!("scenario{number}.csv"));
-        std::fs::write(&path, self.csv()).with_context(|| format!("writing {}", path.display()))
+        super::write(dir, &format!("scenario{number}.csv"), &self.csv())
     }
 }
 
@@ -334,74 +351,6 @@ fn head() -> Vec<String> {
     heads.map(String::from).collect()
 }
 
-fn timely(f: &ScenarioFlight) -> Claim {
-    let text = match (f.high.first(), f.dark.first()) {
-        (Some(high), Some(dark)) => format!(
-            "{} raises power at k = {high}, {} low power would fall below γ_min (k = {dark}); SNR below γ_min in \
-             {} intervals.",
-            f.controller,
-            if high < dark {
-                "before"
-            } else if high == dark {
-                "as"
-            } else {
-                "after"
-            },
-            f.violations.len()
-        ),
-        (None, Some(dark)) => {
-            format!("{} never raises power; low power fails from k = {dark}.", f.controller)
-        }
-        (_, None) => format!("{} never needs high power.", f.controller),
-    };
-    Claim { holds: f.raises_in_time(), text }
-}
-
-fn late(f: &ScenarioFlight) -> Claim {
-    let text = match (f.high.first(), f.dark.first()) {
-        (Some(high), Some(dark)) => format!(
-            "{} raises power at k = {high}, {} intervals after low power fell below γ_min (k = {dark}), which \
-             violates the SNR at k = {}; it lowers power {} intervals after low power would do again.",
-            f.controller,
-            high.saturating_sub(*dark),
-            ranges(&f.violations),
-            f.high.last().unwrap_or(&0).saturating_sub(*f.dark.last().unwrap_or(&0)),
-        ),
-        _ => format!("{} never raises power or never needs to.", f.controller),
-    };
-    Claim { holds: f.raises_late(), text }
-}
-
-fn below_and_connected(f: &ScenarioFlight) -> Claim {
-    let [gusty, of] = f.gusty_below.unwrap_or_default();
-    Claim {
-        holds: f.passes_below() && f.violations.is_empty() && gusty * 100 >= of * 99,
-        text: format!(
-            "{} passes {} the obstacle (y = {:.3}), in gusts below it in {gusty} of {of} flights; SNR below γ_min in {} \
-             intervals, high power in {}.",
-            f.controller,
-            if f.passes_below() { "below" } else { "above" },
-            f.y_abreast.unwrap_or(f64::NAN),
-            f.violations.len(),
-            f.high.len()
-        ),
-    }
-}
-
-fn through_the_shadow(f: &ScenarioFlight) -> Claim {
-    Claim {
-        holds: !f.passes_below() && f.raises_late(),
-        text: format!(
-            "{} passes {} the obstacle (y = {:.3}); SNR below γ_min at k = {}, until power is raised at k = {}.",
-            f.controller,
-            if f.passes_below() { "below" } else { "above" },
-            f.y_abreast.unwrap_or(f64::NAN),
-            ranges(&f.violations),
-            f.high.first().map_or("never".into(), ToString::to_string)
-        ),
-    }
-}
-
 /// Ascending numbers as `3-5 8`.
 fn ranges(numbers: &[u64]) -> String {
     let mut runs: Vec<(u64, u64)> = Vec::new();
@@ -418,6 +367,7 @@ fn ranges(numbers: &[u64]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lab::report::verdict::Verdict;
 
     #[test]
     fn runs_of_numbers_are_short() {
@@ -432,10 +382,20 @@ mod tests {
         let flown = fly(&models, &[Controller::Apc, Controller::Rcc], 8, None).unwrap();
         for scenario in &flown {
             let [apc, rcc] = &scenario.flights[..] else { panic!("two flights") };
-            assert!(apc.violations.is_empty() && apc.raises_in_time(), "{:?}", apc.high);
-            assert!(rcc.raises_late() && !rcc.raises_in_time(), "{:?}", rcc.violations);
-            assert!(scenario.claims().iter().all(|c| c.holds), "{}", scenario.text());
+            assert!(apc.violations.is_empty() && apc.lead().is_none_or(|lead| lead > 0.0), "{:?}", apc.high);
+            assert!(rcc.lead().is_some_and(|lead| lead < 0.0), "{:?}", rcc.violations);
+            assert!(rcc.overhang().is_some_and(|late| late > 0.0) && !rcc.violations.is_empty());
         }
-        assert!(flown[1].flights[0].passes_below() && !flown[1].flights[1].passes_below());
+        let verdicts = flown[1].verdicts(&flown);
+        let side = |controller: &str| {
+            let row = verdicts
+                .iter()
+                .find(|row| row.quantity == format!("y abreast: {controller} less the obstacle"));
+            row.unwrap().verdict()
+        };
+        assert_eq!(
+            [side("apc"), side("rcc"), side("ucc")],
+            [Some(Verdict::Agrees), Some(Verdict::Agrees), None]
+        );
     }
 }

@@ -1,132 +1,70 @@
 //! The paper's Figs. 6 and 7 from a sweep's folder: five panels with mean, band and the paper's ratios,
-//! the tables, and what the paper says of its extreme points beside what was measured.
+//! the tables, and the verdicts on what the paper says.
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series, Style};
 use crpl_sitl::sim::metric::Metric;
 
+use super::claims::{self, Claim};
 use super::page::Page;
-use super::{Claim, rgb};
+use super::quantities::SweepQuantity;
+use super::rgb;
+use super::rows::{self, VerdictRow};
+use super::verdict::Said;
 use crate::lab::sweep::episode::SweepEpisode;
 use crate::lab::sweep::folder::Folder;
+use crate::lab::sweep::plan::SweepPlan;
 use crate::lab::sweep::table::{self, TableRow};
 use crate::station::pilot::Controller;
-use crpl_model::numeric::statistics::Mean;
-
-/// What the paper says of one controller over CRPL at one point.
-struct Said {
-    sweep: &'static str,
-    x: f64,
-    controller: Controller,
-    metric: Metric,
-    /// Ratio in the paper.
-    paper: f64,
-    /// Least ratio at which we call it reproduced: from the calibration study, which met the paper's figures
-    /// with some of its own definitions (docs/choices.md, section 5).
-    least: f64,
-}
-
-const fn said(
-    sweep: &'static str,
-    x: f64,
-    controller: Controller,
-    metric: Metric,
-    paper: f64,
-    least: f64,
-) -> Said {
-    Said { sweep, x, controller, metric, paper, least }
-}
-
-/// Sec. IV-D of the paper, in numbers.
-const SAID: [Said; 13] = [
-    said("bandwidth", 2.5, Controller::Rcc, Metric::TerminalDistance, 3.0, 3.0),
-    said("bandwidth", 2.5, Controller::Ucc, Metric::TerminalDistance, 2.5, 2.5),
-    said("bandwidth", 2.5, Controller::Rcc, Metric::TransmitEnergy, 1.7, 1.45),
-    said("bandwidth", 2.5, Controller::Ucc, Metric::TransmitEnergy, 1.6, 1.4),
-    said("bandwidth", 2.5, Controller::Rcc, Metric::Outages, 18.0, 10.0),
-    said("bandwidth", 2.5, Controller::Ucc, Metric::Outages, 12.0, 8.0),
-    said("sigma", 0.01, Controller::Rcc, Metric::TerminalDistance, 1.35, 1.5),
-    said("sigma", 0.01, Controller::Ucc, Metric::TerminalDistance, 1.4, 1.4),
-    said("sigma", 0.01, Controller::Rcc, Metric::TransmitEnergy, 1.4, 1.4),
-    said("sigma", 0.01, Controller::Ucc, Metric::TransmitEnergy, 1.4, 1.4),
-    said("sigma", 0.01, Controller::Rcc, Metric::Outages, 7.0, 5.0),
-    said("sigma", 0.01, Controller::Ucc, Metric::Outages, 6.5, 4.5),
-    said("sigma", 0.01, Controller::Ucc, Metric::CollisionProbability, 3.0, 2.5),
-];
-
-/// Outage of CRPL itself, and of CRPL that knows the bandwidth, in intervals, at most: sweep, x, who, bound.
-const OUTAGE: [(&str, f64, Controller, f64); 2] =
-    [("bandwidth", 2.5, Controller::Crpl, 5.0), ("bandwidth", 2.4, Controller::CrplBw, 0.5)];
 
 /// A finished sweep with its table.
 #[derive(Debug)]
 pub struct Finished {
     folder: Folder,
+    episodes: Vec<SweepEpisode>,
     rows: Vec<TableRow>,
 }
 
 impl Finished {
     /// From a folder and its episodes.
     #[must_use]
-    pub fn new(folder: Folder, episodes: &[SweepEpisode]) -> Self {
-        let rows = table::rows(&folder.plan, episodes);
-        Self { folder, rows }
-    }
-
-    /// Name of the sweep.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.folder.plan.name
+    pub fn new(folder: Folder, episodes: Vec<SweepEpisode>) -> Self {
+        let rows = table::rows(&folder.plan, &episodes);
+        Self { folder, episodes, rows }
     }
 
     fn row(&self, x: f64, controller: Controller) -> Option<&TableRow> {
         self.rows.iter().find(|r| r.x == x && r.controller == controller)
     }
 
-    /// What the paper says of this sweep, and whether these flights say the same.
+    /// What the paper says of this sweep, and what these flights say of that.
     #[must_use]
-    pub fn claims(&self) -> Vec<Claim> {
+    pub fn verdicts(&self) -> Vec<VerdictRow> {
         let plan = &self.folder.plan;
-        let mut claims: Vec<Claim> = SAID
-            .iter()
-            .filter(|said| said.sweep == plan.name)
-            .filter_map(|said| {
-                let ratio = self.row(said.x, said.controller)?.ratio_to_crpl?[said.metric];
-                Some(Claim {
-                    holds: ratio.mean >= said.least,
-                    text: format!(
-                        "{} at {} = {}: {} over crpl is {:.2} [{:.2}, {:.2}]; the paper says {}, at least {} is \
-                         asked for.",
-                        said.metric.key(),
-                        plan.axis,
-                        said.x,
-                        said.controller,
-                        ratio.mean,
-                        ratio.ci[0],
-                        ratio.ci[1],
-                        said.paper,
-                        said.least
-                    ),
-                })
+        let row = |claim: &Claim, quantity: SweepQuantity| {
+            let ours = quantity.measure(claim.who, plan, &self.episodes);
+            VerdictRow::of_sweep(&plan.name, claim, quantity, ours)
+        };
+        claims::of_sweep(&plan.name)
+            .flat_map(|(claim, quantity)| {
+                claim.of_teams(&plan.controllers).into_iter().map(move |c| (c, quantity))
             })
-            .collect();
-        for (_, x, controller, most) in OUTAGE.iter().filter(|o| o.0 == plan.name) {
-            let Some(row) = self.row(*x, *controller) else { continue };
-            let Mean { mean, ci, .. } = row.means[Metric::Outages];
-            claims.push(Claim {
-                holds: mean <= *most,
-                text: format!(
-                    "{} at {} = {x}: {controller} {mean:.2} intervals [{:.2}, {:.2}]; at most {most} is asked for.",
-                    Metric::Outages.key(),
-                    plan.axis,
-                    ci[0],
-                    ci[1]
-                ),
-            });
-        }
-        claims
+            .map(|(claim, quantity)| row(&claim, quantity))
+            .collect()
+    }
+
+    /// The paper's ratios to our crpl at single points: who, where, metric and ratio.
+    fn marks(&self) -> impl Iterator<Item = (Controller, f64, Metric, f64)> {
+        claims::of_sweep(&self.folder.plan.name).filter_map(|(claim, quantity)| {
+            match (claim.who.over, quantity, claim.said) {
+                (Some(Controller::Crpl), SweepQuantity::Ratio(metric, x), Said::Value(paper)) => {
+                    Some((claim.who.of, x, metric, paper))
+                }
+                _ => None,
+            }
+        })
     }
 
     /// The paper's five panels.
@@ -147,13 +85,12 @@ impl Finished {
             let band = rows.iter().map(|(x, m)| (*x, m.ci[0], m.ci[1])).collect();
             Series { band, ..Series::line(controller.to_string(), n, points).styled(Style::Dotted) }
         };
-        let marks =
-            SAID.iter().filter(|said| said.sweep == plan.name && said.metric == metric).filter_map(|said| {
-                let n = plan.controllers.iter().position(|c| *c == said.controller)?;
-                let crpl = self.row(said.x, Controller::Crpl)?.means[metric].mean;
-                let at = (said.x, said.paper * crpl.max(metric.floor()));
-                Some(Series::line("", n, vec![at]).styled(Style::Hollow))
-            });
+        let marks = self.marks().filter(|mark| mark.2 == metric).filter_map(|(controller, x, _, paper)| {
+            let n = plan.controllers.iter().position(|c| *c == controller)?;
+            let crpl = self.row(x, Controller::Crpl)?.means[metric].mean;
+            let at = (x, paper * crpl.max(metric.floor()));
+            Some(Series::line("", n, vec![at]).styled(Style::Hollow))
+        });
         let curves = plan.controllers.iter().enumerate().map(curve);
         Chart {
             title: format!("{}, {}", metric.symbol(), metric.title()),
@@ -171,11 +108,18 @@ impl Finished {
         }
     }
 
+    /// Verdicts, for a terminal.
+    #[must_use]
+    pub fn text(&self, verdicts: &[VerdictRow]) -> String {
+        let SweepPlan { name, axis, .. } = &self.folder.plan;
+        format!("Sweep {name} over {axis}\n{}", rows::text(verdicts))
+    }
+
     /// Adds a section, and leaves figures and tables in `dir`.
     ///
     /// # Errors
     /// A figure or table cannot be written.
-    pub fn show(&self, page: &mut Page, dir: &Path, words: &str) -> Result<()> {
+    pub fn show(&self, page: &mut Page, dir: &Path, words: &str, verdicts: &[VerdictRow]) -> Result<()> {
         let plan = &self.folder.plan;
         page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axis));
         page.text(&format!(
@@ -190,7 +134,7 @@ impl Finished {
         if !plan.uncovered.is_empty() {
             page.text(table::uncovered(plan).trim());
         }
-        page.claims(&self.claims());
+        page.verdicts(verdicts);
         let key = |(n, c): (usize, &Controller)| (c.to_string(), rgb(n));
         page.key(&plan.controllers.iter().enumerate().map(key).collect::<Vec<_>>());
         let panels = self.panels();
@@ -206,12 +150,8 @@ impl Finished {
         self.tables(page);
         page.folded("The resolved sweep", &toml::to_string(plan)?);
         chart::save(&Grid { figures: &panels, columns: 3 }, dir, &plan.name)?;
-        let write = |name: String, text: String| {
-            let path = dir.join(name);
-            std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))
-        };
-        write(format!("{}.csv", plan.name), table::csv(plan, &self.rows))?;
-        write(format!("{}.txt", plan.name), table::text(plan, &self.rows))
+        super::write(dir, &format!("{}.csv", plan.name), &table::csv(plan, &self.rows))?;
+        super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows))
     }
 
     fn tables(&self, page: &mut Page) {
@@ -243,13 +183,5 @@ impl Finished {
             page.text("Ratio of means to crpl on the same seeds, with its 95 % bootstrap interval; T_out over at least one interval.");
             page.table(&head(&mut Metric::of_paper()), &ratios);
         }
-    }
-
-    /// Sentences, for a terminal.
-    #[must_use]
-    pub fn text(&self) -> String {
-        let claims = self.claims();
-        let lines = claims.iter().map(|claim| format!("  {:<13} {}\n", claim.verdict(), claim.text));
-        format!("Sweep {}\n{}", self.name(), lines.collect::<String>())
     }
 }
