@@ -16,7 +16,9 @@ use crate::numeric::statistics::{Interval, of_quantile, quantile, wilson};
 use crate::predictor::observer::{LatentObserver, LatentReading};
 use crate::predictor::{Begin, Networks, Predictor, PredictorKind};
 use crate::world_model::WorldModel;
-use crate::world_model::dataset::{OBSTACLE_SPEED, START_SPEED};
+use crate::world_model::dataset::{
+    self, Acceptance, OBSTACLE_SPEED, START_SPEED, Selection, direction, inside, is_free,
+};
 
 /// How a trajectory begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -75,47 +77,41 @@ pub struct Trajectory {
     pub path: Vec<Vector2<f64>>,
 }
 
-/// `count` trajectories; the UAV stays in the frame and below v_max throughout.
+/// `count` trajectories, and how many candidates that took.
+///
+/// - [`Selection::Free`]: the UAV stays in the frame and below v_max throughout; all others are discarded.
+/// - [`Selection::All`]: nothing is discarded, and walls and v_max act as in the simulator. What the start says
+///   of the UAV then holds where the window begins.
 #[must_use]
 pub fn draw(
     count: usize,
     start: RolloutStart,
+    selection: Selection,
     window: usize,
     scenario: &Scenario,
     noise: &Noise,
-) -> Vec<Trajectory> {
-    const CHUNK: u64 = 1 << 13;
-    let mut found = Vec::with_capacity(count);
-    let mut candidate = 0;
-    while found.len() < count {
-        let chunk: Vec<Trajectory> = (candidate..candidate + CHUNK)
-            .into_par_iter()
-            .filter_map(|index| {
-                let mut rng = noise.generator(Stream::Evaluation, (start as u64 + 20) << 32 | index);
-                one(start, window, scenario, &mut rng)
-            })
-            .collect();
-        let missing = count - found.len();
-        found.extend(chunk.into_iter().take(missing));
-        candidate += CHUNK;
-    }
-    found
+) -> (Vec<Trajectory>, Acceptance) {
+    dataset::first(count, |index| {
+        let mut rng = noise.generator(Stream::Evaluation, (start as u64 + 20) << 32 | index);
+        match selection {
+            Selection::Free => free(start, window, scenario, &mut rng),
+            Selection::All => Some(any(start, window, scenario, &mut rng)),
+        }
+    })
 }
 
-fn one(start: RolloutStart, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Option<Trajectory> {
-    let inside = |r: Vector2<f64>| r.iter().all(|x| (0.0..=1.0).contains(x));
+/// A candidate from the start condition backwards and forwards; `None` if v_max or the frame bends its motion.
+fn free(start: RolloutStart, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Option<Trajectory> {
     let (a_max, v_max) = (scenario.dynamics.a_max, scenario.dynamics.v_max);
     let mut free = scenario.dynamics.clone();
     free.walls = false;
-    let now = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
-    let speed = if start == RolloutStart::Moving { START_SPEED * rng.random::<f64>() } else { 0.0 };
-    let v = direction(rng) * speed;
+    let State { r: now, v } = begin(start, rng);
 
     // Backwards in time: v_{k-1} = v_k - a_max a_{k-1}.
     let (mut places, mut flown) = (vec![now], Vec::new());
     let (mut r, mut back) = (now, v);
     for _ in 1..window {
-        let a = if start == RolloutStart::Moving { action(rng) } else { Vector2::zeros() };
+        let a = before(start, rng);
         r -= back;
         back -= a_max * a;
         if !inside(r) || back.norm() > v_max {
@@ -131,40 +127,66 @@ fn one(start: RolloutStart, window: usize, scenario: &Scenario, rng: &mut impl R
     let (mut actions, mut path) = (Vec::with_capacity(LONGEST), Vec::with_capacity(LONGEST));
     for _ in 0..LONGEST {
         let a = action(rng);
-        if (state.v + a_max * a).norm() > v_max {
+        let next = dynamics::step(state, a, Vector2::zeros(), &free);
+        if !is_free(state, a, next, &free) {
             return None;
         }
-        state = dynamics::step(state, a, Vector2::zeros(), &free);
-        if !inside(state.r) {
-            return None;
-        }
+        state = next;
         actions.push(a);
         path.push(state.r);
     }
+    Some(Trajectory { history: beside(places, start, scenario, rng), flown, actions, path })
+}
 
+/// A candidate from the window's first frame on, in the simulator's own world.
+fn any(start: RolloutStart, window: usize, scenario: &Scenario, rng: &mut impl Rng) -> Trajectory {
+    let mut state = begin(start, rng);
+    let mut fly = |a: &Vector2<f64>| {
+        state = dynamics::step(state, *a, Vector2::zeros(), &scenario.dynamics);
+        state.r
+    };
+    let mut places = vec![fly(&Vector2::zeros())];
+    let flown: Vec<_> = (1..window).map(|_| before(start, rng)).collect();
+    places.extend(flown.iter().map(&mut fly));
+    let actions: Vec<_> = (0..LONGEST).map(|_| action(rng)).collect();
+    let path = actions.iter().map(fly).collect();
+    Trajectory { history: beside(places, start, scenario, rng), flown, actions, path }
+}
+
+/// The UAV where a start condition holds.
+fn begin(start: RolloutStart, rng: &mut impl Rng) -> State {
+    let r = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
+    let speed = if start == RolloutStart::Moving { START_SPEED * rng.random::<f64>() } else { 0.0 };
+    State { r, v: direction(rng) * speed }
+}
+
+/// What is flown in an interval of the window.
+fn before(start: RolloutStart, rng: &mut impl Rng) -> Vector2<f64> {
+    if start == RolloutStart::Moving { action(rng) } else { Vector2::zeros() }
+}
+
+/// These places of the UAV, each with that of an obstacle.
+fn beside(
+    places: Vec<Vector2<f64>>,
+    start: RolloutStart,
+    scenario: &Scenario,
+    rng: &mut impl Rng,
+) -> Vec<[Vector2<f64>; 2]> {
     let margin = scenario.obstacle().margin;
     let mut place = || margin + (1.0 - 2.0 * margin) * rng.random::<f64>();
     let r = Vector2::new(place(), place());
     let speed = if start == RolloutStart::Rest { 0.0 } else { OBSTACLE_SPEED };
     let mut body = State { r, v: direction(rng) * speed };
-    let history = places
-        .into_iter()
-        .map(|uav| {
-            let here = body.r;
-            body = dynamics::step_obstacle(body, margin);
-            [uav, here]
-        })
-        .collect();
-    Some(Trajectory { history, flown, actions, path })
+    let pair = |uav| {
+        let here = body.r;
+        body = dynamics::step_obstacle(body, margin);
+        [uav, here]
+    };
+    places.into_iter().map(pair).collect()
 }
 
 fn action(rng: &mut impl Rng) -> Vector2<f64> {
     Vector2::new(rng.random_range(-1.0..=1.0), rng.random_range(-1.0..=1.0))
-}
-
-fn direction(rng: &mut impl Rng) -> Vector2<f64> {
-    let angle = std::f64::consts::TAU * rng.random::<f64>();
-    Vector2::new(angle.cos(), angle.sin())
 }
 
 /// What is known where a forecast begins, plane coordinates.
