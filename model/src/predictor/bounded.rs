@@ -174,7 +174,7 @@ impl Bounded {
             let inside = next[axis].max(bounds.low[axis]).min(bounds.high[axis]);
             if inside != next[axis] {
                 next[axis] = inside;
-                [&mut by_now, &mut by_before, &mut by_a].map(|slope| slope.row_mut(axis).fill(0.0));
+                [&mut by_now, &mut by_before, &mut by_a].into_iter().for_each(|s| s.row_mut(axis).fill(0.0));
             }
         }
         Local { next, slopes: [by_now, by_before, by_a] }

@@ -113,9 +113,7 @@ impl Predictor {
             PredictorKind::Mlp | PredictorKind::Lstm => {
                 networks.all.iter().find(|p| p.kind() == kind).cloned()
             }
-            PredictorKind::Bounded => {
-                networks.bounds.map(|bounds| Self::Bounded(Bounded { linear, bounds }))
-            }
+            PredictorKind::Bounded => networks.bounds.map(|bounds| Self::Bounded(Bounded { linear, bounds })),
         }
     }
 
@@ -324,6 +322,9 @@ pub struct NetworksConfig {
     pub episodes: usize,
     /// Further episodes, for the learning curve.
     pub held_out: usize,
+    /// Whether the episodes are unselected: walls and v_max act in them, and none is discarded.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub unselected: bool,
     /// Units of each hidden layer, and of the LSTM.
     pub hidden: usize,
     /// Steps of Adam on rollouts of 4 intervals, each network.
@@ -345,6 +346,7 @@ impl Default for NetworksConfig {
         Self {
             episodes: 400,
             held_out: 96,
+            unselected: false,
             hidden: 64,
             short_steps: 300,
             mlp_steps: 5000,

@@ -33,7 +33,8 @@ const CONTACT: f64 = 0.95;
 /// The bounds that explain the samples best beside `linear`; [`Bounds::NONE`]'s where no sample tells.
 #[must_use]
 pub fn fit(linear: &PlaneLinear, samples: &[Sample]) -> Bounds {
-    let of = |p: f64, value: &dyn Fn(&Sample) -> f64| quantile(&samples.iter().map(value).collect::<Vec<_>>(), p);
+    let of =
+        |p: f64, value: &dyn Fn(&Sample) -> f64| quantile(&samples.iter().map(value).collect::<Vec<_>>(), p);
     let corner = |p: f64| Vector2::new(of(p, &|s| s.shown.x), of(p, &|s| s.shown.y));
     // From inside: with too narrow bounds the samples that they would stop lie beyond them.
     let mut bounds = Bounds {
@@ -67,7 +68,8 @@ fn round(linear: &PlaneLinear, samples: &[Sample], bounds: Bounds) -> Bounds {
         weigh(linear, &bounds, sample, &mut seen);
     }
     let median = |of: &[f64], else_: f64| if of.is_empty() { else_ } else { quantile(of, 0.5) };
-    let side = |n: usize, now: Vector2<f64>| Vector2::from_fn(|axis, _| median(&seen.sides[n][axis], now[axis]));
+    let side =
+        |n: usize, now: Vector2<f64>| Vector2::from_fn(|axis, _| median(&seen.sides[n][axis], now[axis]));
     let [cross, square] = seen.left;
     let more = if square > 0.0 { cross / square } else { 0.0 };
     Bounds {
