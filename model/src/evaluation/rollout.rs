@@ -499,21 +499,19 @@ mod tests {
             let bent: Vec<_> = all.iter().map(|t| bent(t, scenario.dynamics.v_max)).collect();
             let share = |n: usize| bent.iter().filter(|b| b[n]).count();
             let free = bent.iter().filter(|b| **b == [false; 2]).count();
-            assert!(
-                share(0) > 120 && share(1) > 60 && free < 40,
-                "{start:?}: {} {} {free}",
-                share(0),
-                share(1)
-            );
-            for t in all {
-                let mut state = State {
-                    r: t.history[19][0],
-                    v: if start == RolloutStart::Moving { continue } else { Vector2::zeros() },
-                };
-                for (a, r) in t.actions.iter().zip(&t.path) {
-                    state = dynamics::step(state, *a, Vector2::zeros(), &scenario.dynamics);
-                    assert_eq!(state.r, *r);
-                }
+            assert!(share(0) > 0 && share(1) > 0, "{start:?}: {} at a wall, {} at v_max", share(0), share(1));
+            assert!(free < 100, "{start:?}: {free} of 200 are bent by neither");
+        }
+    }
+
+    #[test]
+    fn with_nothing_discarded_the_path_is_the_simulators() {
+        let (scenario, noise) = (Scenario::default(), Noise::new(4));
+        for t in draw(50, RolloutStart::Rest, Selection::All, 20, &scenario, &noise).0 {
+            let mut state = State::at_rest(t.history[19][0]);
+            for (a, r) in t.actions.iter().zip(&t.path) {
+                state = dynamics::step(state, *a, Vector2::zeros(), &scenario.dynamics);
+                assert_eq!(state.r, *r);
             }
         }
     }
