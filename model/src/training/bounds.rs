@@ -176,8 +176,9 @@ mod tests {
     fn it_finds_speed_limit_and_walls_that_nobody_told_it() {
         let (linear, samples, scenario) = samples();
         let found = fit(&linear, &samples);
-        assert!((found.reach / (10.0 * scenario.dynamics.v_max) - 1.0).abs() < 2e-3, "{found:?}");
+        // To within the error of one place.
+        assert!((found.reach - 10.0 * scenario.dynamics.v_max).abs() < 2e-3, "{found:?}");
         assert!(found.low.amax() < 2e-3 && (found.high - Vector2::repeat(10.0)).amax() < 2e-3, "{found:?}");
-        assert!(found.kept < 0.05 && found.contact < 0.05, "{found:?}");
+        assert!(found.kept < 0.02 && found.contact < 5e-3, "{found:?}");
     }
 }
