@@ -173,6 +173,9 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
         println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
     }
+    if let Some(bounds) = trained.networks.bounds {
+        println!("bounded: {}", predictors::in_px(&bounds, &model));
+    }
     println!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
     Ok(())
 }

@@ -82,6 +82,11 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
         }
         found
     };
+    for count in json["acceptance"].as_array().unwrap() {
+        let rate = count["rate"].as_f64().unwrap();
+        assert!(count["kept"] == 200 && rate > 0.0 && rate < 1.0, "{count}");
+    }
+    assert!(measured.report.table().contains("kept of the candidates"));
     for predictor in ["linear", "mlp", "lstm", "constant_velocity", "observer"] {
         for start in ["rest", "rest_moving_obstacle", "moving"] {
             for h in [1, 10, 20, 50, 100] {
@@ -174,4 +179,46 @@ fn a_checkpoint_of_the_wrong_shape_is_named() {
     assert!(error.contains("model.safetensors: not a safetensors file"), "{error}");
     let error = WorldModel::load(&dir.path().join("nowhere")).unwrap_err().to_string();
     assert!(error.contains("nowhere/model.safetensors"), "{error}");
+}
+
+#[test]
+fn with_nothing_discarded_the_learned_bounds_hold_what_the_linear_predictor_does_not() {
+    use crpl_model::evaluation::rollout::{Forecaster, Panel, RolloutRow, RolloutStart, draw};
+    use crpl_model::predictor::{Networks, PredictorKind};
+    use crpl_model::world_model::dataset::Selection;
+    use crpl_sitl::world::noise::Noise;
+
+    let (model, networks) = (shipped(), Networks::embedded().expect("the shipped networks read"));
+    let scenario = Scenario::default();
+    let panel = Panel::new(&model, &networks, &scenario);
+    let row = |name: Forecaster, start: RolloutStart| {
+        let (trajectories, count) = draw(150, start, Selection::All, 20, &scenario, &Noise::new(5));
+        assert_eq!((count.kept, count.candidates), (150, 150), "a trajectory was discarded");
+        let known = panel.look(&trajectories, &scenario, || ());
+        RolloutRow::of(name, start, 100, &panel.errors(name, &trajectories, &known).expect("it is shipped"))
+    };
+    let bounded = Forecaster::Predictor(PredictorKind::Bounded);
+    for (name, start, goal) in [
+        (bounded, RolloutStart::Rest, 0.95),
+        (bounded, RolloutStart::RestMovingObstacle, 0.95),
+        (Forecaster::ObserverBounded, RolloutStart::Moving, 0.9),
+    ] {
+        let found = row(name, start);
+        // 150 tell it to within their interval.
+        assert!(found.ci.p1[1] >= goal && found.p1 > goal - 0.05, "{found:?}");
+    }
+    let linear = row(Forecaster::Predictor(PredictorKind::Linear), RolloutStart::Rest);
+    assert!(linear.p1 < 0.3, "walls and v_max do not act: {linear:?}");
+}
+
+#[test]
+fn the_shipped_networks_file_is_what_saving_writes() {
+    use crpl_model::predictor::{Networks, PREDICTORS};
+
+    let dir = tempfile::tempdir().unwrap();
+    let networks = Networks::embedded().expect("the shipped networks read");
+    assert!(networks.bounds.is_some());
+    networks.save(dir.path()).unwrap();
+    let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("pretrained").join(PREDICTORS);
+    assert!(std::fs::read(dir.path().join(PREDICTORS)).unwrap() == std::fs::read(shipped).unwrap());
 }

@@ -20,6 +20,9 @@ pub struct Evaluate {
     /// Folder of the world model [default: the built-in one]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
+    /// Folder of other networks, written by `model predictors` [default: those beside the world model]
+    #[arg(long, value_name = "DIR")]
+    networks: Option<PathBuf>,
     /// Number of trajectories from each of the three start conditions
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(10..=100_000))]
     trajectories: u64,
@@ -42,7 +45,7 @@ pub struct Evaluate {
 /// # Errors
 /// If the world model does not read or a file cannot be written.
 pub fn run(args: &Evaluate) -> Result<()> {
-    let (model, networks) = load(args.checkpoint.as_deref())?;
+    let (model, networks) = load(args.checkpoint.as_deref(), args.networks.as_deref())?;
     let config = ReportConfig {
         seed: args.seed,
         trajectories: args.trajectories as usize,
@@ -50,7 +53,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         window: args.window as usize,
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
-    let bar = progress::bar("rollouts", RolloutStart::ALL.len() as u64 * args.trajectories);
+    let bar = progress::bar("rollouts", 2 * RolloutStart::ALL.len() as u64 * args.trajectories);
     let measured = report::measure(&model, &networks, &config, &Scenario::default(), || bar.inc(1));
     bar.finish_and_clear();
     figures::draw(&measured, &args.out)?;
@@ -58,6 +61,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
         "config": config,
         "world_model": checkpoint::fingerprint(&model)?,
         "checkpoint": args.checkpoint,
+        "networks": args.networks,
         "revision": crate::revision(),
         "command": std::env::args().collect::<Vec<_>>(),
         "intervals": "95 %: Wilson for shares, order statistics for quantiles, bootstrap for heads",
@@ -75,10 +79,15 @@ pub fn run(args: &Evaluate) -> Result<()> {
 }
 
 /// The world model and the networks that were trained on its latents.
-fn load(dir: Option<&Path>) -> Result<(WorldModel, Networks)> {
-    let (model, networks) = match dir {
-        Some(dir) => (WorldModel::load(dir)?, Networks::load(dir)?),
-        None => (WorldModel::embedded()?, Networks::embedded()?),
+fn load(dir: Option<&Path>, others: Option<&Path>) -> Result<(WorldModel, Networks)> {
+    let model = match dir {
+        Some(dir) => WorldModel::load(dir)?,
+        None => WorldModel::embedded()?,
+    };
+    let dir = others.or(dir);
+    let networks = match dir {
+        Some(dir) => Networks::load(dir)?,
+        None => Networks::embedded()?,
     };
     let here = checkpoint::fingerprint(&model)?;
     if networks.world != here {

@@ -26,7 +26,7 @@ use crate::predictor::Begin;
 use crate::world_model::WorldModel;
 use crate::world_model::card::{FitCheck, HeadMetrics, ProbeMetrics, RolloutMetrics, WorldMetrics};
 use crate::world_model::config::EvaluationConfig;
-use crate::world_model::dataset::{self, EDGE_BAND, Episode, EpisodeStart};
+use crate::world_model::dataset::{self, EDGE_BAND, Episode, EpisodeStart, Selection};
 
 /// Measures everything but `label_free`, which the fit hands over.
 #[must_use]
@@ -38,10 +38,10 @@ pub fn measure(
     noise: &Noise,
     label_free: FitCheck,
 ) -> WorldMetrics {
-    let episodes = dataset::collect(
+    let (episodes, acceptance) = dataset::select(
         config.rollouts,
         config.horizon,
-        EpisodeStart::Rest,
+        (EpisodeStart::Rest, Selection::Free),
         scenario,
         noise,
         EVALUATION_EPISODES,
@@ -61,7 +61,7 @@ pub fn measure(
     });
     WorldMetrics {
         probe: decode(model, config.frames, scenario, noise),
-        rollout,
+        rollout: RolloutMetrics { acceptance: Some(acceptance.rate()), ..rollout },
         heads: given[0],
         heads_after_rollout: given[1],
         heads_anywhere: anywhere[0],
@@ -172,6 +172,7 @@ fn rollouts(
         true_p90_px: quantile(&errors[1], 0.9),
         zero_p90_px: quantile(&errors[2], 0.9),
         shuffled_p90_px: quantile(&errors[3], 0.9),
+        acceptance: None,
     };
     (metrics, ends)
 }

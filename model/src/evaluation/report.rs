@@ -10,13 +10,14 @@ use crate::encoder::probe::{covariance, effective_rank, r_squared};
 use crate::encoder::weights::vector;
 use crate::evaluation::robustness::{self, RobustnessRow};
 use crate::evaluation::rollout::{
-    self, Errors, Forecaster, HORIZONS, Known, LONGEST, RolloutRow, RolloutStart, Trajectory,
+    self, Errors, Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutRow, RolloutStart, Trajectory,
 };
 use crate::evaluation::{Judged, decoded, judged};
 use crate::heads::labels::{self, BaseStation, Scene, auc, calibration_error};
-use crate::numeric::statistics::{Interval, bootstrap, of_quantile, quantile};
+use crate::numeric::statistics::{Interval, bootstrap, of_quantile, quantile, wilson};
 use crate::predictor::Networks;
 use crate::world_model::WorldModel;
+use crate::world_model::dataset::{Acceptance, Selection};
 
 /// How much is measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -34,8 +35,12 @@ pub struct ReportConfig {
 /// What was measured.
 #[derive(Debug, Clone, Serialize)]
 pub struct EvaluationReport {
-    /// Every predictor, start and look-ahead.
+    /// Every predictor, start and look-ahead, on trajectories that stay in the frame and below v_max.
     pub rollout: Vec<RolloutRow>,
+    /// How many candidates those are.
+    pub acceptance: Vec<AcceptanceRow>,
+    /// The same with no trajectory discarded.
+    pub unselected: Vec<RolloutRow>,
     /// Positions from latents.
     pub probe: ProbeReport,
     /// Risk and channel.
@@ -46,6 +51,20 @@ pub struct EvaluationReport {
     pub rank: Rank,
     /// Harder cameras and states.
     pub hard: Vec<RobustnessRow>,
+}
+
+/// How many candidates from a start stay in the frame and below v_max for the whole trajectory.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct AcceptanceRow {
+    /// From where.
+    pub start: RolloutStart,
+    /// The count.
+    #[serde(flatten)]
+    pub count: Acceptance,
+    /// Its share.
+    pub rate: f64,
+    /// 95 % interval of the share, Wilson's.
+    pub ci: Interval,
 }
 
 /// Positions from latents on held-out frames, l1.
@@ -115,7 +134,7 @@ pub struct Rank {
 pub struct Measured {
     /// What is printed.
     pub report: EvaluationReport,
-    /// Errors of every predictor from every start.
+    /// Errors of every predictor from every start, on trajectories that stay in the frame and below v_max.
     pub errors: Vec<(Forecaster, RolloutStart, Errors)>,
 }
 
@@ -129,22 +148,25 @@ pub fn measure(
     tick: impl Fn() + Sync,
 ) -> Measured {
     let noise = Noise::new(config.seed ^ EVALUATION);
-    let mut errors = Vec::new();
-    let mut rest = None;
-    for start in RolloutStart::ALL {
-        let trajectories = rollout::draw(config.trajectories, start, config.window, scenario, &noise);
-        let known = rollout::look(model, &trajectories, scenario, &tick);
-        for name in Forecaster::all() {
-            let found = rollout::errors(model, networks, name, &trajectories, &known);
-            errors.extend(found.map(|found| (name, start, found)));
-        }
-        rest.get_or_insert((trajectories, known));
-    }
-    let (trajectories, known) = rest.unwrap_or_default();
-    let rows =
-        errors.iter().flat_map(|(name, start, e)| HORIZONS.map(|h| RolloutRow::of(*name, *start, h, e)));
+    let panel = Panel::new(model, networks, scenario);
+    let forecast = |selection| {
+        RolloutStart::ALL
+            .map(|start| Forecasts::of(&panel, start, selection, config, scenario, &noise, &tick))
+    };
+    let (free, all) = (forecast(Selection::Free), forecast(Selection::All));
+    let acceptance = free.each_ref().map(|f| {
+        let Acceptance { kept, candidates } = f.count;
+        AcceptanceRow { start: f.start, count: f.count, rate: f.count.rate(), ci: wilson(kept, candidates) }
+    });
+    let unselected = all.iter().flat_map(Forecasts::rows).collect();
+    let rollout = free.iter().flat_map(Forecasts::rows).collect();
+    let [rest, moving_obstacle, moving] = free;
+    let (trajectories, known) = (rest.trajectories, rest.known);
+    let errors = [rest.errors, moving_obstacle.errors, moving.errors].concat();
     let report = EvaluationReport {
-        rollout: rows.collect(),
+        rollout,
+        acceptance: acceptance.into(),
+        unselected,
         probe: probe(model, config.frames, scenario, &noise),
         heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
         actions: actions(model, &trajectories, &known, &noise),
@@ -152,6 +174,42 @@ pub fn measure(
         hard: robustness::robustness_table(model, config.frames.min(2000), scenario, &noise),
     };
     Measured { report, errors }
+}
+
+/// The trajectories of one start and all forecasts of them.
+struct Forecasts {
+    start: RolloutStart,
+    count: Acceptance,
+    trajectories: Vec<Trajectory>,
+    known: Vec<Known>,
+    errors: Vec<(Forecaster, RolloutStart, Errors)>,
+}
+
+impl Forecasts {
+    fn of(
+        panel: &Panel<'_>,
+        start: RolloutStart,
+        selection: Selection,
+        config: &ReportConfig,
+        scenario: &Scenario,
+        noise: &Noise,
+        tick: impl Fn() + Sync,
+    ) -> Self {
+        let (trajectories, count) =
+            rollout::draw(config.trajectories, start, selection, config.window, scenario, noise);
+        let known = panel.look(&trajectories, scenario, tick);
+        let errors = Forecaster::of(selection).iter();
+        let errors =
+            errors.filter_map(|name| Some((*name, start, panel.errors(*name, &trajectories, &known)?)));
+        let errors = errors.collect();
+        Self { start, count, trajectories, known, errors }
+    }
+
+    /// Every forecaster and look-ahead.
+    fn rows(&self) -> Vec<RolloutRow> {
+        let each = self.errors.iter();
+        each.flat_map(|(name, start, e)| HORIZONS.map(|h| RolloutRow::of(*name, *start, h, e))).collect()
+    }
 }
 
 /// Keeps evaluation apart from training on the same seed.
@@ -282,16 +340,19 @@ impl EvaluationReport {
     /// The table for people.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut text = String::from(
-            "predictor          start                   H  P(<=.2 px)  P(<=1 px) [95 %]         P(<=5 px)  p90, px [95 %]\n",
-        );
-        for r in &self.rollout {
-            let (name, start) = (word(&r.predictor), word(&r.start));
-            text += &format!(
-                "{name:<18} {start:<22} {:>3}       {:.3}  {:.3} [{:.3}, {:.3}]          {:.3}  {:.3} [{:.3}, {:.3}]\n",
-                r.h, r.p02, r.p1, r.ci.p1[0], r.ci.p1[1], r.p5, r.p90_px, r.ci.p90_px[0], r.ci.p90_px[1]
-            );
-        }
+        let mut text =
+            String::from("trajectories that stay in the frame and below v_max; kept of the candidates:\n");
+        text.extend(self.acceptance.iter().map(|row| {
+            let Acceptance { kept, candidates } = row.count;
+            let start = word(&row.start);
+            format!(
+                "  {start:<22} {kept} of {candidates}: {:.4} [{:.4}, {:.4}]\n",
+                row.rate, row.ci[0], row.ci[1]
+            )
+        }));
+        text += &rollouts(&self.rollout);
+        text += "\nnothing discarded: walls and v_max as in the simulator\n";
+        text += &rollouts(&self.unselected);
         let (p, h, a) = (&self.probe, &self.heads, &self.actions);
         let with =
             |value: f64, [low, high]: Interval, unit: &str| format!("{value:.4} [{low:.4}, {high:.4}]{unit}");
@@ -319,6 +380,21 @@ impl EvaluationReport {
         );
         text
     }
+}
+
+/// A table of rollouts for people.
+fn rollouts(rows: &[RolloutRow]) -> String {
+    let mut text = String::from(
+        "predictor             start                   H  P(<=.2 px)  P(<=1 px) [95 %]         P(<=5 px)  p90, px [95 %]\n",
+    );
+    for r in rows {
+        let (name, start) = (word(&r.predictor), word(&r.start));
+        text += &format!(
+            "{name:<21} {start:<22} {:>3}       {:.3}  {:.3} [{:.3}, {:.3}]          {:.3}  {:.3} [{:.3}, {:.3}]\n",
+            r.h, r.p02, r.p1, r.ci.p1[0], r.ci.p1[1], r.p5, r.p90_px, r.ci.p90_px[0], r.ci.p90_px[1]
+        );
+    }
+    text
 }
 
 /// An enum's name as in JSON.

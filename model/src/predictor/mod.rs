@@ -1,11 +1,12 @@
 //! Latents of the next interval from those of the last two and an action.
 //!
 //! [`Predictor`] is one of a closed set behind one [`step`](Predictor::step): the linear one of the paper
-//! (Sec. IV-A2, Eq. (31)), and the MLP and LSTM that Sec. IV-B compares it with. Each of them predicts the
-//! controllable half in plane coordinates; the uncontrollable half, on which no action works, is linear.
+//! (Sec. IV-A2, Eq. (31)), the MLP and LSTM that Sec. IV-B compares it with, and the linear one inside learned
+//! bounds. Each of them predicts the controllable half in plane coordinates; the uncontrollable half, on which no action works, is linear.
 //!
 //! To add one: a file that has what [`linear`] or [`mlp`] has, and its arms here.
 
+pub mod bounded;
 pub mod linear;
 pub mod lstm;
 pub mod mlp;
@@ -24,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::numeric::kernel::LANES;
 use crate::numeric::mlp::{Dense, Mlp};
 use crate::numeric::tensors::{self, Reader, TensorError, Writer};
+use crate::predictor::bounded::{Bounded, BoundedMemory, Bounds};
 use crate::predictor::linear::{Displacement, Pair, PlaneLinear};
 use crate::predictor::lstm::{Lstm, LstmMemory};
 use crate::predictor::mlp::{MlpMemory, SiluMlp};
@@ -40,11 +42,13 @@ pub enum PredictorKind {
     Mlp,
     /// One recurrent layer.
     Lstm,
+    /// The linear one inside a longest step and a box that were learned.
+    Bounded,
 }
 
 impl PredictorKind {
     /// All, in the order of the tables.
-    pub const ALL: [Self; 3] = [Self::Linear, Self::Mlp, Self::Lstm];
+    pub const ALL: [Self; 4] = [Self::Linear, Self::Mlp, Self::Lstm, Self::Bounded];
 
     /// Those that are trained by gradient and stand in [`PREDICTORS`], in the file's order.
     pub const NETWORKS: [Self; 2] = [Self::Mlp, Self::Lstm];
@@ -56,6 +60,7 @@ impl PredictorKind {
             Self::Linear => "linear",
             Self::Mlp => "mlp",
             Self::Lstm => "lstm",
+            Self::Bounded => "bounded",
         }
     }
 
@@ -75,6 +80,8 @@ pub enum Predictor {
     Mlp(Residual<SiluMlp>),
     /// Constant velocity and what an LSTM adds.
     Lstm(Residual<Lstm>),
+    /// Constant velocity and action inside bounds.
+    Bounded(Bounded),
 }
 
 /// What a predictor carries along its rollouts, and what their backward pass reads again. A rollout begins
@@ -83,6 +90,7 @@ pub enum Predictor {
 pub struct Memory {
     mlp: MlpMemory,
     lstm: LstmMemory,
+    bounded: BoundedMemory,
 }
 
 /// Where a rollout begins and what is flown.
@@ -105,6 +113,7 @@ impl Predictor {
             PredictorKind::Mlp | PredictorKind::Lstm => {
                 networks.all.iter().find(|p| p.kind() == kind).cloned()
             }
+            PredictorKind::Bounded => networks.bounds.map(|bounds| Self::Bounded(Bounded { linear, bounds })),
         }
     }
 
@@ -115,6 +124,7 @@ impl Predictor {
             Self::Linear(_) => PredictorKind::Linear,
             Self::Mlp(_) => PredictorKind::Mlp,
             Self::Lstm(_) => PredictorKind::Lstm,
+            Self::Bounded(_) => PredictorKind::Bounded,
         }
     }
 
@@ -147,6 +157,7 @@ impl Predictor {
             }
             Self::Mlp(p) => p.advance(&mut memory.mlp, states, actions),
             Self::Lstm(p) => p.advance(&mut memory.lstm, states, actions),
+            Self::Bounded(p) => p.advance(&mut memory.bounded, states, actions),
         }
     }
 
@@ -188,6 +199,7 @@ impl Predictor {
             Self::Linear(linear) => linear.displacement(y, v, a),
             Self::Mlp(p) => p.displacement(y, v, a),
             Self::Lstm(p) => p.displacement(y, v, a),
+            Self::Bounded(p) => p.displacement(y, v, a),
         }
     }
 
@@ -199,6 +211,7 @@ impl Predictor {
             Self::Linear(linear) => linear.forward(now, before, a),
             Self::Mlp(p) => p.forward(&mut memory.mlp, now, before, a),
             Self::Lstm(p) => p.forward(&mut memory.lstm, now, before, a),
+            Self::Bounded(p) => p.forward(&mut memory.bounded, now, before, a),
         }
     }
 
@@ -210,6 +223,7 @@ impl Predictor {
             Self::Linear(linear) => linear.backward(d_next, slopes),
             Self::Mlp(p) => p.backward(&mut memory.mlp, d_next, slopes),
             Self::Lstm(p) => p.backward(&mut memory.lstm, d_next, slopes),
+            Self::Bounded(p) => p.backward(&mut memory.bounded, d_next, slopes),
         }
     }
 
@@ -217,17 +231,17 @@ impl Predictor {
     #[must_use]
     pub fn gradient(&self, memory: &Memory) -> Mlp {
         match self {
-            Self::Linear(_) => Mlp { layers: Vec::new() },
+            Self::Linear(_) | Self::Bounded(_) => Mlp { layers: Vec::new() },
             Self::Mlp(p) => p.cell.gradient(&memory.mlp),
             Self::Lstm(p) => p.cell.gradient(&memory.lstm),
         }
     }
 
-    /// The weights of a network, layer by layer; none of the linear predictor.
+    /// The weights of a network, layer by layer; none of a predictor that is no network.
     #[must_use]
     pub fn layers(&self) -> Mlp {
         match self {
-            Self::Linear(_) => Mlp { layers: Vec::new() },
+            Self::Linear(_) | Self::Bounded(_) => Mlp { layers: Vec::new() },
             Self::Mlp(p) => p.cell.layers(),
             Self::Lstm(p) => p.cell.layers(),
         }
@@ -236,13 +250,13 @@ impl Predictor {
     /// Takes up what [`Predictor::layers`] gave.
     pub fn set_layers(&mut self, layers: &Mlp) {
         match self {
-            Self::Linear(_) => {}
+            Self::Linear(_) | Self::Bounded(_) => {}
             Self::Mlp(p) => p.cell.set_layers(layers),
             Self::Lstm(p) => p.cell.set_layers(layers),
         }
     }
 
-    /// An untrained network of this kind, which predicts constant velocity; `None` for the linear one.
+    /// An untrained network of this kind, which predicts constant velocity; `None` for those that are no network.
     #[must_use]
     pub fn untrained(
         kind: PredictorKind,
@@ -253,7 +267,7 @@ impl Predictor {
         let n = config.hidden;
         // Zeros last: it begins as constant velocity.
         Some(match kind {
-            PredictorKind::Linear => return None,
+            PredictorKind::Linear | PredictorKind::Bounded => return None,
             PredictorKind::Mlp => {
                 let layers = vec![random(INPUTS, n, rng), random(n, n, rng), Dense::zeros(n, 2)];
                 Self::Mlp(Residual { cell: SiluMlp(Mlp { layers }), scaling })
@@ -269,7 +283,7 @@ impl Predictor {
     #[must_use]
     pub fn scaling(&self) -> Option<Scaling> {
         match self {
-            Self::Linear(_) => None,
+            Self::Linear(_) | Self::Bounded(_) => None,
             Self::Mlp(p) => Some(p.scaling),
             Self::Lstm(p) => Some(p.scaling),
         }
@@ -277,7 +291,7 @@ impl Predictor {
 
     fn put(&self, out: &mut Writer) {
         match self {
-            Self::Linear(_) => {}
+            Self::Linear(_) | Self::Bounded(_) => {}
             Self::Mlp(p) => p.cell.put(out),
             Self::Lstm(p) => p.cell.put(out),
         }
@@ -285,7 +299,7 @@ impl Predictor {
 
     fn get(kind: PredictorKind, scaling: Scaling, from: &Reader<'_>) -> Result<Option<Self>, TensorError> {
         Ok(match kind {
-            PredictorKind::Linear => None,
+            PredictorKind::Linear | PredictorKind::Bounded => None,
             PredictorKind::Mlp => Some(Self::Mlp(Residual { cell: SiluMlp::get(from)?, scaling })),
             PredictorKind::Lstm => Some(Self::Lstm(Residual { cell: Lstm::get(from)?, scaling })),
         })
@@ -308,6 +322,9 @@ pub struct NetworksConfig {
     pub episodes: usize,
     /// Further episodes, for the learning curve.
     pub held_out: usize,
+    /// Whether the episodes are unselected: walls and v_max act in them, and none is discarded.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub unselected: bool,
     /// Units of each hidden layer, and of the LSTM.
     pub hidden: usize,
     /// Steps of Adam on rollouts of 4 intervals, each network.
@@ -329,6 +346,7 @@ impl Default for NetworksConfig {
         Self {
             episodes: 400,
             held_out: 96,
+            unselected: false,
             hidden: 64,
             short_steps: 300,
             mlp_steps: 5000,
@@ -341,11 +359,11 @@ impl Default for NetworksConfig {
 }
 
 impl NetworksConfig {
-    /// Steps on long rollouts, and the learning rate, of one network; (0, 0) for the linear predictor.
+    /// Steps on long rollouts, and the learning rate, of one network; (0, 0) for those that are no network.
     #[must_use]
     pub fn schedule(&self, kind: PredictorKind) -> (usize, f64) {
         match kind {
-            PredictorKind::Linear => (0, 0.0),
+            PredictorKind::Linear | PredictorKind::Bounded => (0, 0.0),
             PredictorKind::Mlp => (self.mlp_steps, self.mlp_rate),
             PredictorKind::Lstm => (self.lstm_steps, self.lstm_rate),
         }
@@ -370,6 +388,8 @@ const WORLD: &str = "world_model";
 pub struct Networks {
     /// In the order of [`PredictorKind::NETWORKS`].
     pub all: Vec<Predictor>,
+    /// Of [`PredictorKind::Bounded`]; a file may lack them.
+    pub bounds: Option<Bounds>,
     /// Fingerprint of the world model on whose latents they were trained.
     pub world: String,
 }
@@ -385,6 +405,7 @@ impl Networks {
             out.f32("scaling", &[3], [place, step, residual]);
         }
         self.all.iter().for_each(|predictor| predictor.put(&mut out));
+        self.bounds.iter().for_each(|bounds| bounds.put(&mut out));
         let about = HashMap::from([(WORLD.to_owned(), self.world.clone())]);
         tensors::write_all(&dir.join(PREDICTORS), &out.bytes_about(Some(about))?)
     }
@@ -424,7 +445,11 @@ impl Networks {
         if all.iter().flat_map(|p| p.layers().layers).any(|l| l.inputs == 0 || l.outputs == 0) {
             return Err(wrong("a network has no hidden unit".into()));
         }
-        Ok(Self { all, world })
+        let bounds = Bounds::get(&from)?;
+        if bounds.is_some_and(|b| b.reach <= 0.0 || b.low >= b.high) {
+            return Err(wrong("tensor `bounds` leaves no room to move".into()));
+        }
+        Ok(Self { all, bounds, world })
     }
 }
 
@@ -447,7 +472,9 @@ mod tests {
             Predictor::Mlp(Residual { cell: SiluMlp(Mlp { layers }), scaling }),
             Predictor::Lstm(Residual { cell: lstm, scaling }),
         ];
-        Networks { all, world: "0123".into() }
+        let (low, high) = (Vector2::repeat(-4.0), Vector2::repeat(5.0));
+        let bounds = Some(Bounds { reach: 0.4, low, high, contact: 0.01, kept: 0.1 });
+        Networks { all, bounds, world: "0123".into() }
     }
 
     #[test]

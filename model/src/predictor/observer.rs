@@ -18,6 +18,7 @@ use std::collections::VecDeque;
 use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
 
 use crate::predictor::Predictor;
+use crate::predictor::bounded::shorten;
 use crate::predictor::linear::Displacement;
 
 /// Assumed standard deviation of a decoded coordinate, units: 0.03 px. Whole discs on empty
@@ -93,13 +94,9 @@ impl MotionModel {
     fn step(&self, state: &Vector4<f64>, a: Vector2<f64>) -> (Vector4<f64>, Matrix4<f64>) {
         let (y, v) = (state.fixed_rows::<2>(0).into_owned(), state.fixed_rows::<2>(2).into_owned());
         let Displacement { mut step, mut by_y, mut by_v } = self.predictor.displacement(y, v, a);
-        let length = step.norm();
-        if length > self.reach {
-            // What is left of an error is what lies across the step.
-            let along = step / length;
-            let turn = (Matrix2::identity() - along * along.transpose()) * (self.reach / length);
+        if let Some((short, turn)) = shorten(step, self.reach) {
             (by_y, by_v) = (turn * by_y, turn * by_v);
-            step = along * self.reach;
+            step = short;
         }
         let mut jacobian = Matrix4::zeros();
         jacobian.fixed_view_mut::<2, 2>(0, 0).copy_from(&(Matrix2::identity() + by_y));

@@ -1,11 +1,12 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `closed_form`, `stages` and `predictors` need burn: the cargo feature `train`.
+//! All but `bounds`, `closed_form`, `stages` and `predictors` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
 #[cfg(feature = "train")]
 pub mod ablation_command;
+pub mod bounds;
 #[cfg(feature = "train")]
 pub mod cache;
 pub mod closed_form;

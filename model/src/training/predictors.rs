@@ -1,6 +1,6 @@
 //! Training of the MLP and LSTM predictors: first rollouts of 4 steps from anywhere, which are
 //! cheap, then rollouts from rest that grow to the whole horizon; both are compared with the latents of
-//! the frames along them.
+//! the frames along them. Beside them the bounds of motion are fitted ([`bounds`]).
 //!
 //! Knows latents and actions; neither positions nor heads.
 
@@ -20,12 +20,14 @@ use crate::numeric::kernel::{LANES, ZERO};
 use crate::numeric::mlp::Mlp;
 use crate::numeric::statistics::quantile;
 use crate::numeric::tensors::{self, Reader, TensorError, Writer};
+use crate::predictor::bounded::Bounds;
 use crate::predictor::linear::Pair;
 use crate::predictor::residual::Scaling;
 use crate::predictor::{Begin, Memory, Networks, NetworksConfig, Predictor, PredictorKind};
+use crate::training::bounds::{self, Sample};
 use crate::world_model::WorldModel;
 use crate::world_model::checkpoint;
-use crate::world_model::dataset::{self, EpisodeStart};
+use crate::world_model::dataset::{Episode, EpisodeStart, Selection, select};
 
 /// A point of a learning curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,8 +59,15 @@ struct LatentEpisodes {
     actions: Vec<Vec<Vector2<f64>>>,
 }
 
-/// Trains all of [`PredictorKind::NETWORKS`] on the latents of `model`, each on a core of its own; `tick`
-/// is called for every step.
+impl LatentEpisodes {
+    fn samples(&self) -> Vec<Sample> {
+        let each = self.y.iter().zip(&self.actions).flat_map(|(y, a)| y.windows(3).zip(&a[1..]));
+        each.map(|(y, a)| Sample { before: y[0], now: y[1], a: *a, shown: y[2] }).collect()
+    }
+}
+
+/// Fits the bounds and trains all of [`PredictorKind::NETWORKS`] on the latents of `model`, each on a core of its
+/// own; `tick` is called for every step.
 ///
 /// # Errors
 /// If the world model has no fingerprint.
@@ -70,8 +79,15 @@ pub fn train(
     noise: &Noise,
     tick: impl Fn() + Sync,
 ) -> Result<Trained, TensorError> {
-    let data = collect(model, config.episodes, steps, scenario, noise, TRAINING_EPISODES);
-    let held_out = collect(model, config.held_out, steps, scenario, noise, TRAINING_EPISODES + 1);
+    let collect = |count, selection, purpose| {
+        let drawn = select(count, steps, (EpisodeStart::Rest, selection), scenario, noise, purpose);
+        encode(model, drawn.0, scenario)
+    };
+    let selection = if config.unselected { Selection::All } else { Selection::Free };
+    let data = collect(config.episodes, selection, TRAINING_EPISODES);
+    let held_out = collect(config.held_out, selection, TRAINING_EPISODES + 1);
+    let all = collect(config.episodes, Selection::All, TRAINING_EPISODES + 2);
+    let bounds = Some(bounds::fit(&model.controllable(), &all.samples()));
     let scaling = scaling(&data);
     let px = SIDE as f64 / model.scale;
     let fit = |(number, kind): (usize, &PredictorKind)| {
@@ -82,27 +98,38 @@ pub fn train(
     };
     let trained: Vec<Option<_>> = PredictorKind::NETWORKS.par_iter().enumerate().map(fit).collect();
     let (all, curves) = trained.into_iter().flatten().unzip();
-    Ok(Trained { networks: Networks { all, world: checkpoint::fingerprint(model)? }, curves })
+    Ok(Trained { networks: Networks { all, bounds, world: checkpoint::fingerprint(model)? }, curves })
+}
+
+/// Bounds for people: what they are by the probe, in px.
+#[must_use]
+pub fn in_px(bounds: &Bounds, model: &WorldModel) -> String {
+    let (side, px) = (SIDE as f64, SIDE as f64 / model.scale);
+    let [low, high] = [bounds.low, bounds.high].map(|y| model.probe.c.apply(y) * side);
+    format!(
+        "longest step {:.3} px, box x {:.2} to {:.2}, y {:.2} to {:.2} px, {:.3} of the speed left at its sides, \
+         seen within {:.2} px of them",
+        bounds.reach * px,
+        low.x,
+        high.x,
+        low.y,
+        high.y,
+        bounds.kept,
+        bounds.contact * px
+    )
 }
 
 /// Keeps these episodes apart from others of the seed.
 const TRAINING_EPISODES: u64 = 20;
 
-fn collect(
-    model: &WorldModel,
-    count: usize,
-    steps: usize,
-    scenario: &Scenario,
-    noise: &Noise,
-    purpose: u64,
-) -> LatentEpisodes {
-    let episodes = dataset::collect(count, steps, EpisodeStart::Rest, scenario, noise, purpose);
+fn encode(model: &WorldModel, episodes: Vec<Episode>, scenario: &Scenario) -> LatentEpisodes {
     let frames: Vec<(usize, usize)> =
         (0..episodes.len()).flat_map(|n| (1..episodes[n].uav.len()).map(move |k| (n, k))).collect();
     let latents = model.encoder.encode_all(&frames, |&(n, k)| episodes[n].frame(k, scenario));
     let y: Vec<_> = latents.iter().map(|l| vector(model.y_c(l))).collect();
+    let length = episodes.first().map_or(1, |e| e.uav.len() - 1);
     LatentEpisodes {
-        y: y.chunks(steps + 1).map(<[_]>::to_vec).collect(),
+        y: y.chunks(length).map(<[_]>::to_vec).collect(),
         actions: episodes.into_iter().map(|e| e.actions).collect(),
     }
 }

@@ -73,6 +73,10 @@ pub struct RolloutMetrics {
     pub zero_p90_px: f64,
     /// With the actions of another trajectory.
     pub shuffled_p90_px: f64,
+    /// Share of the candidates that stay in the frame and below v_max: all others are discarded. `None` in cards
+    /// that were written before it was counted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acceptance: Option<f64>,
 }
 
 /// Quality of the heads.
@@ -123,6 +127,7 @@ impl WorldMetrics {
             ("  true actions, p90", format!("{:.3} px", r.true_p90_px)),
             ("  zero actions, p90", format!("{:.1} px", r.zero_p90_px)),
             ("  shuffled actions, p90", format!("{:.1} px", r.shuffled_p90_px)),
+            ("  candidates kept for these rollouts", r.acceptance.map_or("not counted".into(), share)),
             ("collision AUC / ECE / MAE, frames", three(h)),
             ("collision AUC / ECE / MAE, after rollout", three(e)),
             ("gain rms / p90, frames", decibels(h)),
@@ -135,6 +140,10 @@ impl WorldMetrics {
         ];
         rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")).collect()
     }
+}
+
+fn share(of: f64) -> String {
+    format!("{of:.4}")
 }
 
 fn three(h: &HeadMetrics) -> String {

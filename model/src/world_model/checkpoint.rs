@@ -75,7 +75,7 @@ impl WorldModel {
         networks: &Networks,
     ) -> Result<Self, CheckpointError> {
         let here = fingerprint(&self)?;
-        if PredictorKind::NETWORKS.contains(&kind) && networks.world != here {
+        if kind != PredictorKind::Linear && networks.world != here {
             return Err(CheckpointError::World { here, networks: networks.world.clone() });
         }
         self.predictor = Predictor::of(kind, self.controllable(), networks)

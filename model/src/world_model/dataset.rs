@@ -1,19 +1,20 @@
 //! Training data: the UAV flies random actions over the whole unit square, the obstacle moves at
 //! constant speed and reflects. Positions only; frames are drawn from them when they are needed.
 //!
-//! The UAV's centre may be anywhere in `[0,1]`², so discs that the frame cuts are in the data. An
-//! episode that would leave the square or reach v_max is drawn again, so its motion is linear in the
-//! actions throughout. Each candidate has its own random stream: equal seeds give equal bytes.
+//! The UAV's centre may be anywhere in `[0,1]`², so discs that the frame cuts are in the data. With
+//! [`Selection::Free`] an episode that would leave the square or exceed v_max is discarded and another one
+//! drawn, so its motion is linear in the actions throughout. Each candidate has its own random stream: equal seeds give equal bytes.
 
 use std::path::Path;
 
 use crpl_sitl::camera::{self, Frame};
-use crpl_sitl::scenario::Scenario;
+use crpl_sitl::scenario::{Dynamics, Scenario};
 use crpl_sitl::world::dynamics::{self, State};
 use crpl_sitl::world::noise::{Noise, Stream};
 use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 
@@ -38,6 +39,50 @@ pub enum EpisodeStart {
     Rest,
     /// Within [`EDGE_BAND`] of an edge; else as `Mixed`.
     Edge,
+}
+
+/// Which candidates become trajectories.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Selection {
+    /// Those that stay in the square and below v_max: their motion is linear in the actions.
+    Free,
+    /// All of them; walls and v_max act as in the simulator.
+    All,
+}
+
+/// How many candidates were kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Acceptance {
+    /// Kept.
+    pub kept: usize,
+    /// Drawn until then.
+    pub candidates: usize,
+}
+
+impl Acceptance {
+    /// Kept of drawn, at most 1.
+    #[must_use]
+    pub fn rate(&self) -> f64 {
+        self.kept as f64 / self.candidates.max(1) as f64
+    }
+}
+
+/// The first `count` candidates that `draw` keeps, in the order of their indices, and how many it took.
+pub fn first<T: Send>(count: usize, draw: impl Fn(u64) -> Option<T> + Sync) -> (Vec<T>, Acceptance) {
+    const CHUNK: u64 = 1 << 12;
+    let (mut found, mut candidates) = (Vec::with_capacity(count), 0);
+    while found.len() < count {
+        let chunk: Vec<Option<T>> = (candidates..candidates + CHUNK).into_par_iter().map(&draw).collect();
+        for candidate in chunk {
+            candidates += 1;
+            found.extend(candidate);
+            if found.len() == count {
+                break;
+            }
+        }
+    }
+    let kept = found.len();
+    (found, Acceptance { kept, candidates: candidates as usize })
 }
 
 /// One trajectory of both bodies, paper units.
@@ -76,7 +121,8 @@ pub struct Triple {
     pub lag: usize,
 }
 
-/// Draws `count` episodes of `steps` actions. `purpose` keeps several sets of one seed apart.
+/// Draws `count` episodes of `steps` actions that stay in the square and below v_max. `purpose` keeps several
+/// sets of one seed apart.
 #[must_use]
 pub fn collect(
     count: usize,
@@ -86,26 +132,33 @@ pub fn collect(
     noise: &Noise,
     purpose: u64,
 ) -> Vec<Episode> {
-    const CHUNK: u64 = 1 << 14;
-    let mut episodes = Vec::with_capacity(count);
-    let mut candidate = 0;
-    while episodes.len() < count {
-        let chunk: Vec<Episode> = (candidate..candidate + CHUNK)
-            .into_par_iter()
-            .filter_map(|index| {
-                let mut rng = noise.generator(Stream::Data, (purpose << 32) | index);
-                draw(steps, start, scenario, &mut rng)
-            })
-            .collect();
-        let missing = count - episodes.len();
-        episodes.extend(chunk.into_iter().take(missing));
-        candidate += CHUNK;
-    }
-    episodes
+    select(count, steps, (start, Selection::Free), scenario, noise, purpose).0
 }
 
-/// One candidate, or `None` if it leaves the square or reaches v_max.
-fn draw(steps: usize, start: EpisodeStart, scenario: &Scenario, rng: &mut impl Rng) -> Option<Episode> {
+/// The same with any selection, and how many candidates it took.
+#[must_use]
+pub fn select(
+    count: usize,
+    steps: usize,
+    (start, selection): (EpisodeStart, Selection),
+    scenario: &Scenario,
+    noise: &Noise,
+    purpose: u64,
+) -> (Vec<Episode>, Acceptance) {
+    first(count, |index| {
+        let mut rng = noise.generator(Stream::Data, (purpose << 32) | index);
+        draw(steps, start, selection, scenario, &mut rng)
+    })
+}
+
+/// One candidate, or `None` if the selection discards it.
+fn draw(
+    steps: usize,
+    start: EpisodeStart,
+    selection: Selection,
+    scenario: &Scenario,
+    rng: &mut impl Rng,
+) -> Option<Episode> {
     let mut r = Vector2::new(rng.random::<f64>(), rng.random::<f64>());
     if start == EpisodeStart::Edge {
         let axis = rng.random_range(0..2);
@@ -114,11 +167,18 @@ fn draw(steps: usize, start: EpisodeStart, scenario: &Scenario, rng: &mut impl R
     }
     let at_rest = rng.random::<f64>() < 0.3 || start == EpisodeStart::Rest;
     let speed = START_SPEED * rng.random::<f64>();
-    let v = direction(rng) * if at_rest { 0.0 } else { speed };
+    let mut v = direction(rng) * if at_rest { 0.0 } else { speed };
 
     let mut dynamics = scenario.dynamics.clone();
-    dynamics.walls = false;
-    let inside = |r: Vector2<f64>| r.iter().all(|x| (0.0..=1.0).contains(x));
+    let all = selection == Selection::All;
+    dynamics.walls = all;
+    if all {
+        // What comes out of a wall comes from the other side.
+        for axis in 0..2 {
+            let outside = !(0.0..=1.0).contains(&(r[axis] - v[axis]));
+            v[axis] = if outside { -v[axis] } else { v[axis] };
+        }
+    }
     let mut state = State { r, v };
     let mut uav = vec![r - v, r];
     if !inside(r - v) {
@@ -127,13 +187,11 @@ fn draw(steps: usize, start: EpisodeStart, scenario: &Scenario, rng: &mut impl R
     let mut actions = Vec::with_capacity(steps);
     for _ in 0..steps {
         let a = Vector2::new(rng.random_range(-1.0..=1.0), rng.random_range(-1.0..=1.0));
-        if (state.v + dynamics.a_max * a).norm() > dynamics.v_max {
+        let next = dynamics::step(state, a, Vector2::zeros(), &dynamics);
+        if !all && !is_free(state, a, next, &dynamics) {
             return None;
         }
-        state = dynamics::step(state, a, Vector2::zeros(), &dynamics);
-        if !inside(state.r) {
-            return None;
-        }
+        state = next;
         actions.push(a);
         uav.push(state.r);
     }
@@ -152,7 +210,20 @@ fn draw(steps: usize, start: EpisodeStart, scenario: &Scenario, rng: &mut impl R
     Some(Episode { uav, actions, obstacle })
 }
 
-fn direction(rng: &mut impl Rng) -> Vector2<f64> {
+/// Whether `r` is in the square.
+#[must_use]
+pub fn inside(r: Vector2<f64>) -> bool {
+    r.iter().all(|x| (0.0..=1.0).contains(x))
+}
+
+/// Whether neither v_max nor the square bent a step.
+#[must_use]
+pub fn is_free(from: State, a: Vector2<f64>, to: State, dynamics: &Dynamics) -> bool {
+    (from.v + dynamics.a_max * a).norm() <= dynamics.v_max && inside(to.r)
+}
+
+/// A unit vector anywhere.
+pub fn direction(rng: &mut impl Rng) -> Vector2<f64> {
     let angle = std::f64::consts::TAU * rng.random::<f64>();
     Vector2::new(angle.cos(), angle.sin())
 }
@@ -252,6 +323,26 @@ mod tests {
                 assert!((found - 3.5e-3 * episode.input_response(3, d)).norm() < 1e-12, "lag {d}");
             }
         }
+    }
+
+    #[test]
+    fn nothing_is_discarded_and_walls_and_speed_limit_act() {
+        let scenario = Scenario::default();
+        let any = |selection| {
+            let noise = Noise::new(5);
+            select(300, 100, (EpisodeStart::Mixed, selection), &scenario, &noise, 1)
+        };
+        let (free, kept) = any(Selection::Free);
+        assert!(kept.kept == 300 && kept.rate() < 0.5, "{kept:?}");
+        let (all, kept) = any(Selection::All);
+        assert_eq!(kept, Acceptance { kept: 300, candidates: 300 });
+        let at_wall = |e: &Episode| e.uav.iter().flat_map(|r| r.iter()).any(|x| *x == 0.0 || *x == 1.0);
+        let v_max = scenario.dynamics.v_max;
+        let fast = |e: &Episode| velocities(e).iter().any(|v| (v.norm() - v_max).abs() < 1e-12);
+        let share = |of: &[Episode], what: &dyn Fn(&Episode) -> bool| of.iter().filter(|e| what(e)).count();
+        assert_eq!((share(&free, &at_wall), share(&free, &fast)), (0, 0));
+        assert!(share(&all, &at_wall) > 0 && share(&all, &fast) > 0);
+        assert!(all.iter().flat_map(|e| &e.uav).all(|r| inside(*r)));
     }
 
     #[test]
