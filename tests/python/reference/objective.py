@@ -39,12 +39,16 @@ def extended_log(x, end):
 
 
 def barrier_weight(eta):
-    """eps_b + 1 / eta of Eq. (29), and the end of the logarithm, min(0.02, w / 2)."""
-    weight = RESIDUAL + 1.0 / eta
-    return weight, min(0.02, weight / 2.0)
+    """eps_b + 1 / eta of Eq. (29)."""
+    return RESIDUAL + 1.0 / eta
 
 
-def barrier(safe, comm, weight, end, world):
+def log_end(weight):
+    """min(0.02, w / 2): where the tangent begins (row "logarithm below e")."""
+    return min(0.02, weight / 2.0)
+
+
+def barrier(safe, comm, weight, world):
     """The second term of Eq. (29); "log(a / b^-1)" is read as a product (row "barrier")."""
     margins = safe - 1.0 + world.collision_tolerance, comm - 1.0 + world.outage_tolerance
-    return -weight * sum(extended_log(margin, end) for margin in margins)
+    return -weight * sum(extended_log(margin, log_end(weight)) for margin in margins)
