@@ -27,3 +27,12 @@ fn a_golden_vector_that_is_off_is_told() {
     assert!(told.stdout.contains("propulsion: DIFFERS, .cases[0].P"), "{}", told.stdout);
     assert!(told.good().is_err(), "a difference must end with an error");
 }
+
+#[test]
+fn the_reference_flies_the_four_controllers() {
+    let said = python::torch_script("reference/fly.py", &["--scenario", "2"]).unwrap().good().unwrap();
+    let names: Vec<_> = said.lines().skip(2).filter_map(|line| line.split_whitespace().next()).collect();
+    assert_eq!(names, ["crpl", "apc", "rcc-paper", "ucc-paper"], "{said}");
+    // The metrics of UCC in golden flights where no packet is lost.
+    assert!(said.contains("ucc-paper    1.000   0.0481   136.0     8160     0.1941   0.00"), "{said}");
+}

@@ -228,7 +228,7 @@ class Adam:
 
 
 def phase(net, world, eta, iterations, rng):
-    """Iterations of stage 1; ends with the mean weights of the last 50 (row "mean of the last iterations")."""
+    """Iterations of stage 1; gives the mean weights of the last 50 (row "mean of the last iterations")."""
     adam, tail, j = Adam(net, 1e-3), [], 0.0
     for n in range(iterations):
         rollout = roll(net, starts(ROLLOUTS, world, rng), world)
@@ -236,7 +236,8 @@ def phase(net, world, eta, iterations, rng):
         net = adam.step(net, gradient(net, rollout, d_r, d_action, world), longest=1.0)
         if n >= iterations - 50:
             tail.append(net)
-    print(f"eta {eta:g}, {iterations} iterations, obstacle {world.obstacle}: J {j:.3f}, P_safe {safe:.3f}, P_comm {comm:.3f}", flush=True)
+    values = f"J {j:.3f}, P_safe {safe:.3f}, P_comm {comm:.3f}"
+    print(f"eta {eta:g}, {iterations} iterations, obstacle {world.obstacle}: {values}", flush=True)
     return [np.mean(parts, axis=0) for parts in zip(*tail)]
 
 
@@ -255,9 +256,10 @@ def chosen(candidates, world, seed, batches=16):
     scores = []
     for name, net in candidates.items():
         rng = np.random.default_rng([seed, 1])
-        parts = [evaluate(roll(net, starts(4096, world, rng), world), world, 1.0)[:3] for _ in range(batches)]
-        j, safe, comm = np.mean(parts, axis=0)
-        print(f"{name}: J {j:.4f}, P_safe {safe:.4f}, P_comm {comm:.4f} on {4096 * batches} rollouts", flush=True)
+        rollouts = (roll(net, starts(4096, world, rng), world) for _ in range(batches))
+        j, safe, comm = np.mean([evaluate(rollout, world, 1.0)[:3] for rollout in rollouts], axis=0)
+        values = f"J {j:.4f}, P_safe {safe:.4f}, P_comm {comm:.4f}"
+        print(f"{name}: {values} on {4096 * batches} rollouts", flush=True)
         feasible = safe > 1.0 - world.collision_tolerance and comm > 1.0 - world.outage_tolerance
         scores.append((not feasible, j, name))
     return candidates[min(scores)[2]]

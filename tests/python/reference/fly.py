@@ -1,7 +1,7 @@
 """Flies the paper's controllers in Scenario 1 or 2 and prints the metrics of Sec. IV-A6.
 
-    python3 tests/python/reference/fly.py --scenario 2 --controller crpl,apc,rcc-paper,ucc-paper
-    python3 tests/python/reference/fly.py --scenario 2 --controller rcc-paper --b-dt 2.5 --gust-std 0.0015 --flights 200
+    /usr/bin/python3 tests/python/reference/fly.py --scenario 2
+    /usr/bin/python3 tests/python/reference/fly.py --controller rcc-paper --b-dt 2.5 --gust-std 0.0015
 
 Without gusts there is one flight. With gusts every controller meets those of the seeds S, S + 1, ... Means
 over the flights are printed; T_out is in control intervals.
@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import controllers
+from controllers import PLAIN_GAINS
 from world import (
     collision_probability,
     metres_per_second,
@@ -108,8 +109,8 @@ def gusts_of(args, world):
     """One list of gusts [H, 2] a flight (row `disturbance.gust_scale`)."""
     if args.gust_std == 0.0:
         return [np.zeros((world.horizon, 2))]
-    seeds = range(args.first_seed, args.first_seed + args.flights)
-    return [args.gust_std * np.random.default_rng(seed).standard_normal((world.horizon, 2)) for seed in seeds]
+    drawn = (np.random.default_rng(args.first_seed + n) for n in range(args.flights))
+    return [args.gust_std * rng.standard_normal((world.horizon, 2)) for rng in drawn]
 
 
 def arguments():
@@ -120,36 +121,50 @@ def arguments():
                 raise argparse.ArgumentTypeError(f"{name} is none of {', '.join(NAMES)}")
         return chosen
 
+    def positive(text):
+        value = float(text)
+        if not value > 0.0:
+            raise argparse.ArgumentTypeError(f"{text} is not above 0")
+        return value
+
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", choices=["1", "2"], default="2")
-    parser.add_argument("--controller", type=names, default=NAMES, help="one or more of " + ",".join(NAMES))
-    parser.add_argument("--b-dt", type=float, help="B dt in bits per unit of log2(1 + SNR); without it no packet is lost")
-    parser.add_argument("--gust-std", type=float, default=0.0, help="per axis and interval, units per interval")
-    parser.add_argument("--flights", type=int, default=100, help="with gusts")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--gains", type=float, nargs=2, default=controllers.PLAIN_GAINS, metavar=("POSITION", "SPEED"),
-                        help="of rcc-paper and ucc-paper")
+    add = parser.add_argument
+    add("--scenario", choices=["1", "2"], default="2")
+    add("--controller", type=names, default=NAMES, help="one or more of " + ",".join(NAMES))
+    add("--b-dt", type=positive, help="B dt in bits per unit of log2(1 + SNR); without it no packet is lost")
+    add("--gust-std", type=float, default=0.0, help="per axis and interval, in units per interval")
+    add("--flights", type=int, default=100, help="with gusts")
+    add("--first-seed", type=int, default=0)
+    pair = ("POSITION", "SPEED")
+    add("--gains", type=float, nargs=2, default=PLAIN_GAINS, metavar=pair, help="of rcc-paper and ucc-paper")
     args = parser.parse_args()
-    if args.flights < 1:
-        parser.error("--flights must be at least 1")
+    if args.flights < 1 or args.first_seed < 0 or not args.gust_std >= 0.0:
+        parser.error("--flights must be at least 1, --first-seed and --gust-std at least 0")
     return args
+
+
+def row(name, args, world, gusts):
+    """A controller's line: the share of flights that reached the goal, and the means of the metrics."""
+    scenario_name = f"S{args.scenario}"
+    flights = (fly(controller(name, world, scenario_name, args.gains), world, args.b_dt, g) for g in gusts)
+    scores = [metrics(flight, world) for flight in flights]
+    m = {key: np.mean([score[key] for score in scores]) for key in scores[0]}
+    reached = np.mean([score["d_f"] <= world.goal_radius for score in scores])
+    return (
+        f"{name:<10} {reached:7.3f} {m['d_f']:8.4f} {m['E_comm']:7.1f} {m['E_ctrl']:8.0f} "
+        f"{m['p_coll_max']:10.4f} {m['T_out']:6.2f}"
+    )
 
 
 def main():
     args = arguments()
-    name = f"S{args.scenario}"
-    world = scenario(name)
+    world = scenario(f"S{args.scenario}")
     gusts = gusts_of(args, world)
-    print(f"Scenario {args.scenario}, B dt {args.b_dt or 'without loss'}, gust std {args.gust_std}, flights {len(gusts)}")
-    print(f"{'controller':<10} {'reached':>7} {'d_f':>8} {'E_comm':>7} {'E_ctrl':>8} {'p_coll_max':>10} {'T_out':>6}")
-    for chosen in args.controller:
-        rows = [metrics(fly(controller(chosen, world, name, args.gains), world, args.b_dt, g), world) for g in gusts]
-        mean = {key: np.mean([row[key] for row in rows]) for key in rows[0]}
-        reached = np.mean([row["d_f"] <= world.goal_radius for row in rows])
-        print(
-            f"{chosen:<10} {reached:7.3f} {mean['d_f']:8.4f} {mean['E_comm']:7.1f} {mean['E_ctrl']:8.0f} "
-            f"{mean['p_coll_max']:10.4f} {mean['T_out']:6.2f}"
-        )
+    loss = f"B dt {args.b_dt}" if args.b_dt else "no packet lost"
+    print(f"Scenario {args.scenario}, {loss}, gust std {args.gust_std}, flights {len(gusts)}")
+    print("controller reached      d_f  E_comm   E_ctrl p_coll_max  T_out")
+    for name in args.controller:
+        print(row(name, args, world, gusts), flush=True)
 
 
 if __name__ == "__main__":

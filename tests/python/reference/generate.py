@@ -1,8 +1,8 @@
 """Writes the golden vectors of tests/golden, or compares with them.
 
-    /usr/bin/python3 tests/python/reference/generate.py --out tests/golden      # regenerates
-    /usr/bin/python3 tests/python/reference/generate.py --check                 # compares with tests/golden
-    /usr/bin/python3 tests/python/reference/generate.py --recompute FOLDER      # other vectors, from their inputs
+    generate.py --out tests/golden      # regenerates
+    generate.py --check                 # compares with tests/golden
+    generate.py --recompute FOLDER      # compares with other vectors, from their inputs
 
 `--check` prints a line for each file and ends with 1 if one differs. `--recompute` takes the inputs, the
 parameters and the policies' weights from FOLDER's files in place of inputs.py, so it judges vectors that
@@ -13,7 +13,7 @@ import argparse
 import json
 import pathlib
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,7 +48,6 @@ def params_of(world):
 
 def world_of(params):
     """The world of a file's parameters."""
-    assert {f.name for f in fields(w.World)} == {"obstacle", *PARAMETERS.values()}
     return w.World(**{PARAMETERS[key]: value for key, value in params.items()})
 
 
@@ -119,33 +118,39 @@ def barrier(case, world):
 
 TABLES = {
     "dynamics_step": (
-        dynamics_step, "r v a w sigma_c box",
-        "Eq. (30), speed first: v' = limit(v + a_max a + sigma_c w, v_max), r' = r + v'; with box, r' is clipped to"
-        " [0, 1]^2 and the speed out of a side that r' exceeded is 0",
+        dynamics_step,
+        "r v a w sigma_c box",
+        "Eq. (30), speed first: v' = limit(v + a_max a + sigma_c w, v_max), r' = r + v'; with box, r' is"
+        " clipped to [0, 1]^2 and the speed out of a side that r' exceeded is 0",
     ),
     "channel": (
-        channel, "r r_u a_p",
-        "h_los_sq = G0 max(d, d_floor)^-alpha_pl; d_seg = distance of r_u to the segment from bs to r; p_block ="
-        " sigmoid((R_o - d_seg) / tau_b); h_sq = ((1 - p_block) + p_block kappa_nlos) h_los_sq; snr = h_sq a_p / P_n;"
-        " clearance = |r - r_u| - R_o - R_u; p_coll = sigmoid((d_min - clearance) / tau_c)",
+        channel,
+        "r r_u a_p",
+        "h_los_sq = G0 max(d, d_floor)^-alpha_pl; d_seg = distance of r_u to the segment from bs to r;"
+        " p_block = sigmoid((R_o - d_seg) / tau_b); h_sq = ((1 - p_block) + p_block kappa_nlos) h_los_sq;"
+        " snr = h_sq a_p / P_n; clearance = |r - r_u| - R_o - R_u;"
+        " p_coll = sigmoid((d_min - clearance) / tau_c)",
     ),
     "outage": (
-        outage, "snr B_dt",
-        "bits = B_dt log2(1 + snr); outage if bits < L_pkt, strictly; gamma_out = 2^(L_pkt / B_dt) - 1. Within 1e-9"
-        " of the threshold compare bits, not the flag",
+        outage,
+        "snr B_dt",
+        "bits = B_dt log2(1 + snr); outage if bits < L_pkt, strictly; gamma_out = 2^(L_pkt / B_dt) - 1."
+        " Within 1e-9 of the threshold compare bits, not the flag",
     ),
     "propulsion": (
-        propulsion, "v_mps v_units",
-        "P(V) = P0 (1 + 3 V^2 / U_tip^2) + Pi (sqrt(1 + V^4 / (4 v0^4)) - V^2 / (2 v0^2))^0.5 + 0.5 d0 rho s A V^3,"
-        " V in m/s",
+        propulsion,
+        "v_mps v_units",
+        "P(V) = P0 (1 + 3 V^2 / U_tip^2) + Pi (sqrt(1 + V^4 / (4 v0^4)) - V^2 / (2 v0^2))^0.5"
+        " + 0.5 d0 rho s A V^3, V in m/s",
     ),
     "nearest_action": (
-        nearest_action, "a",
+        nearest_action,
+        "a",
         "index in A_s = [[0,0],[1,0],[-1,0],[0,1],[0,-1]]; Euclidean nearest, ties to the lowest index",
     ),
     "softmin": (softmin, "x beta", "Eq. (23): -(1 / beta) ln sum exp(-beta x)"),
     "p_out": (p_out, "snr gamma_min alpha", "Eq. (26): sigmoid(alpha (1 - snr / gamma_min))"),
-}  # fmt: skip
+}
 """Answer, names of the inputs, and definition of each table."""
 
 
@@ -185,8 +190,9 @@ def log_barrier(given):
     logs = given["cases"] if given else inputs.log_ext()
     barriers = given["barrier_cases"] if given else inputs.barrier()
     return {
-        "doc": "y = ln x for x >= eps, else ln eps + (x - eps) / eps; barrier = -w (y(P_safe - 1 + delta1) +"
-        " y(P_comm - 1 + delta2)), w = eps_b + 1 / eta, eps = min(0.02, w / 2), eps_b 1e-4, deltas 0.05",
+        "doc": "y = ln x for x >= eps, else ln eps + (x - eps) / eps; barrier ="
+        " -w (y(P_safe - 1 + delta1) + y(P_comm - 1 + delta2)), w = eps_b + 1 / eta, eps = min(0.02, w / 2),"
+        " eps_b 1e-4, deltas 0.05",
         "tol": TOLERANCE,
         "cases": answered(logs, "x eps", log_ext, world),
         "barrier_cases": answered(barriers, "P_safe P_comm w", barrier, world),
@@ -209,8 +215,8 @@ def scores(flight, world):
 def trace(case, world):
     """A flight without gusts, with packet loss (Sec. IV-A4)."""
     world = replace(world, obstacle=w.OBSTACLES[case["scenario"]])
-    made = {"RCC": controllers.rcc, "UCC": controllers.ucc, "APC": controllers.Apc}[case["controller"]](world)
-    flight = fly(made, world, case["B_dt"], np.zeros((world.horizon, 2)))
+    made = {"RCC": controllers.rcc, "UCC": controllers.ucc, "APC": controllers.Apc}[case["controller"]]
+    flight = fly(made(world), world, case["B_dt"], np.zeros((world.horizon, 2)))
     return {
         "sigma_c": 0.0,
         "metrics": scores(flight, world),
@@ -231,16 +237,16 @@ def closed_loop(given):
     params = given["params"] if given else params_of(w.World())
     flights = given["traces"] if given else inputs.flights()
     return {
-        "doc": "flights without gusts, H = 100; order in a step: observe, choose, SNR from r_k and a_p, outage -> hold,"
-        " dynamics; p_coll[k] at r_{k+1}. APC's search has ties that the last bit of an exponential decides: compare"
-        " its first 19 steps to 1e-9, then positions to 0.05 and d_f to 0.02",
+        "doc": "flights without gusts, H = 100; order in a step: observe, choose, SNR from r_k and a_p, outage"
+        " -> hold, dynamics; p_coll[k] at r_{k+1}. APC's search has ties that the last bit of an exponential"
+        " decides: compare its first 19 steps to 1e-9, then positions to 0.05 and d_f to 0.02",
         "params": params,
         "traces": answered(flights, "scenario controller B_dt", trace, world_of(params)),
     }
 
 
 def policy(name, given):
-    """Outputs of the policies on states of their own flight, and the flight. The weights are not made here."""
+    """Outputs of the policies on states of their own flight, and the flight; algorithm1.py makes weights."""
     world = w.scenario(name[-2:].upper())
     weights = given or json.loads((GOLDEN / f"{name}.json").read_text())
     crpl = controllers.Crpl(world, weights["pi_s"], weights["pi_p"])
@@ -248,10 +254,10 @@ def policy(name, given):
     before = [flight.r[0], *flight.r]
     xs = [controllers.features(flight.r[k], before[k], world) for k in range(0, 60, 3)]
     return plain({
-        "doc": "policies of Algorithm 1 on the true state; layers x @ W + b, tanh hidden, softmax output; input x ="
-        " [2 (r_k - 0.5), (r_k - r_{k-1}) / v_max, 2 (r_u - 0.5)], r_{-1} = r_0; a_s = the action nearest to sum"
-        " pi_s A_s; a_p = 4 if sum pi_p A_p > 2.5. Weights are float32 values, probabilities float64; the cases are"
-        " states of the flight, every third",
+        "doc": "policies of Algorithm 1 on the true state; layers x @ W + b, tanh hidden, softmax output;"
+        " input x = [2 (r_k - 0.5), (r_k - r_{k-1}) / v_max, 2 (r_u - 0.5)], r_{-1} = r_0; a_s = the action nearest"
+        " to sum pi_s A_s; a_p = 4 if sum pi_p A_p > 2.5. Weights are float32 values, probabilities float64;"
+        " the cases are states of the flight, every third",
         "r_u": list(world.obstacle),
         "pi_s": weights["pi_s"],
         "pi_p": weights["pi_p"],
@@ -266,7 +272,8 @@ def files():
     """How each file is made: of what is given in a file of that name, or of inputs.py."""
     made = {name: (lambda given, name=name: table(name, given)) for name in TABLES}
     made |= {"log_barrier": log_barrier, "closed_loop": closed_loop}
-    return made | {name: (lambda given, name=name: policy(name, given)) for name in ("policy_s1", "policy_s2")}
+    policies = ("policy_s1", "policy_s2")
+    return made | {name: (lambda given, name=name: policy(name, given)) for name in policies}
 
 
 def write(folder):
@@ -283,10 +290,10 @@ def checked(folder, recompute):
     """Compares each file of `folder` and prints a line; whether all agree."""
     agree = True
     for name, make in files().items():
-        golden = json.loads((folder / f"{name}.json").read_text())
         try:
+            golden = json.loads((folder / f"{name}.json").read_text())
             print(f"{name}: agrees, {compare.file(make(golden if recompute else None), golden)}")
-        except compare.Difference as difference:
+        except (compare.Difference, OSError, ValueError, KeyError, TypeError) as difference:
             print(f"{name}: DIFFERS, {difference}")
             agree = False
     return agree
@@ -297,7 +304,7 @@ def main():
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--out", type=pathlib.Path, help="write the files into this folder")
     what.add_argument("--check", action="store_true", help="compare with tests/golden")
-    what.add_argument("--recompute", type=pathlib.Path, help="compare with this folder's files, from their inputs")
+    what.add_argument("--recompute", type=pathlib.Path, help="compare with a folder, from its inputs")
     args = parser.parse_args()
     if args.out:
         write(args.out)

@@ -81,7 +81,8 @@ def softmin():
 def p_out():
     """SNRs around gamma_min for four slopes."""
     snrs = (0, 0.2, 0.5, 0.9, 1, 1.1, 1.5, 2, 2.76, 5, 11, 400)
-    return [{"snr": float(g), "gamma_min": 1.0, "alpha": a} for a in (1.0, 3.0, 5.0, 10.0) for g in snrs]
+    slopes = (1.0, 3.0, 5.0, 10.0)
+    return [{"snr": float(g), "gamma_min": 1.0, "alpha": alpha} for alpha in slopes for g in snrs]
 
 
 def nearest_action():
@@ -100,7 +101,8 @@ def log_ext():
 def barrier():
     """Feasible and infeasible estimates at the first, second and last eta."""
     estimates = ((0.99, 0.99), (0.96, 0.951), (0.9, 0.99), (0.99, 0.5), (1.0, 0.96))
-    return [{"P_safe": s, "P_comm": c, "w": barrier_weight(eta)} for eta in (1.0, 2.0, 512.0) for s, c in estimates]
+    weights = [barrier_weight(eta) for eta in (1.0, 2.0, 512.0)]
+    return [{"P_safe": safe, "P_comm": comm, "w": weight} for weight in weights for safe, comm in estimates]
 
 
 def flights():
