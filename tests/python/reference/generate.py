@@ -238,8 +238,8 @@ def closed_loop(given):
     flights = given["traces"] if given else inputs.flights()
     return {
         "doc": "flights without gusts, H = 100; order in a step: observe, choose, SNR from r_k and a_p,"
-        " outage -> hold, dynamics; p_coll[k] at r_{k+1}. APC's search has ties that the last bit of an exponential"
-        " decides: compare its first 19 steps to 1e-9, then positions to 0.05 and d_f to 0.02",
+        " outage -> hold, dynamics; p_coll[k] at r_{k+1}. APC's search has ties that the last bit of an"
+        " exponential decides: compare its first 19 steps to 1e-9, then positions to 0.05 and d_f to 0.02",
         "params": params,
         "traces": answered(flights, "scenario controller B_dt", trace, world_of(params)),
     }
@@ -256,8 +256,8 @@ def policy(name, given):
     return plain({
         "doc": "policies of Algorithm 1 on the true state; layers x @ W + b, tanh hidden, softmax output;"
         " input x = [2 (r_k - 0.5), (r_k - r_{k-1}) / v_max, 2 (r_u - 0.5)], r_{-1} = r_0; a_s = the action"
-        " nearest to sum pi_s A_s; a_p = 4 if sum pi_p A_p > 2.5. Weights are float32 values, probabilities float64;"
-        " the cases are states of the flight, every third",
+        " nearest to sum pi_s A_s; a_p = 4 if sum pi_p A_p > 2.5. Weights are float32 values, probabilities"
+        " float64; the cases are states of the flight, every third",
         "r_u": list(world.obstacle),
         "pi_s": weights["pi_s"],
         "pi_p": weights["pi_p"],
