@@ -246,7 +246,7 @@ def closed_loop(given):
 
 
 def policy(name, given):
-    """Outputs of the policies on states of their own flight, and the flight; algorithm1.py makes weights."""
+    """Outputs of the policies on states of their own flight, and the flight; the weights are kept."""
     world = w.scenario(name[-2:].upper())
     weights = given or json.loads((GOLDEN / f"{name}.json").read_text())
     crpl = controllers.Crpl(world, weights["pi_s"], weights["pi_p"])
