@@ -1,8 +1,7 @@
 //! Golden vectors: reading `tests/golden/*.json` and comparing numbers with it.
 //!
-//! The vectors were made by a reference in Python and recomputed by a second program that shares no
-//! code with it; each file carries its definition, its parameters and its tolerance. Nothing here
-//! knows what the numbers mean.
+//! The reference in `tests/python/reference` makes the vectors; it shares no code with the programs. Each
+//! file carries its definition, its parameters and its tolerance. Nothing here knows what the numbers mean.
 
 use std::path::PathBuf;
 
