@@ -13,7 +13,7 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, tune};
+use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::{bridge, mission, param, replay};
@@ -45,6 +45,8 @@ enum GcsCommand {
     Check(check::Check),
     /// Bound what any controller can reach: the oracle's value, and others beside it
     Bound(bound::Bound),
+    /// Measure the paper's claims over the values that it omits
+    Sensitivity(sensitivity::Sensitivity),
     /// Search the numbers of RCC or UCC on training seeds
     Tune(tune::Tune),
     /// Fly a sweep: the paper's metrics against one key of the scenario
@@ -283,6 +285,7 @@ fn main() -> ExitCode {
         GcsCommand::Optimise(args) => optimise::run(&args),
         GcsCommand::Check(args) => check::run(&args),
         GcsCommand::Bound(args) => bound::run(&args),
+        GcsCommand::Sensitivity(args) => sensitivity::run(&args),
         GcsCommand::Tune(args) => tune::run(&args),
         GcsCommand::Sweep(args) => sweep::run(&args),
         GcsCommand::Merge(args) => merge::run(&args),

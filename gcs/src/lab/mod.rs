@@ -14,6 +14,7 @@ pub mod random;
 pub mod report;
 pub mod run_folder;
 pub mod summary;
+pub mod sensitivity;
 pub mod sweep;
 pub mod tune;
 

@@ -21,7 +21,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::station::pilot::laws::{LawFile, Provenance};
+use crate::station::pilot::laws::{LawFile, Provenance, Tunable};
 use crate::station::pilot::reactive::{Law, Present, Reactive, Task};
 
 /// Flags of `gcs tune`.
@@ -55,32 +55,6 @@ pub struct Tune {
 
 /// First seed of the flights that laws are tuned on: far from those of every table.
 const FIRST_TRAINING: u64 = 5_000_000;
-
-/// Which controllers have a law.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Tunable {
-    /// Reactive constrained control
-    Rcc,
-    /// Unconstrained communication control
-    Ucc,
-}
-
-impl Tunable {
-    fn paper(self) -> Law {
-        match self {
-            Self::Rcc => Law::RCC_PAPER,
-            Self::Ucc => Law::UCC_PAPER,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Rcc => "rcc",
-            Self::Ucc => "ucc",
-        }
-    }
-}
 
 /// A law on one set of flights.
 #[derive(Debug, Clone, Serialize)]
@@ -169,6 +143,29 @@ impl Search {
         Tried { law: law.clone(), aim, holds, worlds }
     }
 
+    /// The best of `laws` drawn laws and their descendants on `flights` flights in each world, and how many were
+    /// tried. Wide and shallow first, then around the best.
+    fn best(&self, laws: u64, flights: u64, seed: u64) -> Result<(Tried, u64)> {
+        let mut rng = Noise::new(seed).generator(Stream::Worlds, 1 << 40);
+        let part = |part: u64| (flights / part).max(8);
+        let few = |n: u64| (n as usize).max(4);
+        let mut drawn: Vec<Law> = (1..laws).map(|_| draw(self.controller, &mut rng)).collect();
+        drawn.push(self.controller.paper());
+        let mut tried = drawn.len() as u64;
+        let mut best = self.round(&drawn, part(40), few(laws / 16))?;
+        for (share, children, keep) in [(20, 6, laws / 32), (8, 5, laws / 64), (4, 4, laws / 128)] {
+            let mut next: Vec<Law> = best.iter().map(|t| t.law.clone()).collect();
+            for parent in &best {
+                next.extend((0..children).map(|_| near(&parent.law, &mut rng)));
+            }
+            tried += (next.len() - best.len()) as u64;
+            best = self.round(&next, part(share), few(keep))?;
+        }
+        let finalists: Vec<Law> = best.into_iter().map(|t| t.law).collect();
+        let last = self.round(&finalists, flights, finalists.len())?;
+        Ok((last.into_iter().next().context("no law was tried")?, tried))
+    }
+
     /// The best `keep` of `laws`, those that keep the constraint first.
     fn round(&self, laws: &[Law], flights: u64, keep: usize) -> Result<Vec<Tried>> {
         let base = self.fly(&self.controller.paper(), flights, None);
@@ -186,6 +183,15 @@ impl Search {
         tried.truncate(keep);
         Ok(tried)
     }
+}
+
+/// The best law for some worlds, found as `gcs tune` finds it.
+///
+/// # Errors
+/// A signal.
+pub fn tuned(controller: Tunable, worlds: Vec<Scenario>, laws: u64, flights: u64, stop: StopSignal) -> Result<Law> {
+    let search = Search { controller, worlds, first_seed: FIRST_TRAINING, stop };
+    Ok(search.best(laws, flights, 0)?.0.law)
 }
 
 /// A law drawn from the whole range: gains and margin on logarithmic scales.
@@ -231,29 +237,11 @@ pub fn run(args: &Tune) -> Result<()> {
     let worlds = args.scenario.iter().map(|name| Ok(Scenario::named(name)?)).collect::<Result<_>>()?;
     let search =
         Search { controller: args.controller, worlds, first_seed: args.first_seed, stop: StopSignal::listen()? };
-    let mut rng = Noise::new(args.seed).generator(Stream::Worlds, 1 << 40);
-    let flights = |part: u64| (args.flights / part).max(8);
-    let few = |n: u64, least: usize| (n as usize).max(least);
-
-    let mut laws: Vec<Law> = (1..args.laws).map(|_| draw(args.controller, &mut rng)).collect();
-    laws.push(args.controller.paper());
-    let mut tried = laws.len() as u64;
-    // Wide and shallow first, then around the best.
-    let mut best = search.round(&laws, flights(40), few(args.laws / 16, 4))?;
-    for (part, children, keep) in [(20, 6, args.laws / 32), (8, 5, args.laws / 64), (4, 4, args.laws / 128)] {
-        let mut next: Vec<Law> = best.iter().map(|t| t.law.clone()).collect();
-        for parent in &best {
-            next.extend((0..children).map(|_| near(&parent.law, &mut rng)));
-        }
-        tried += (next.len() - best.len()) as u64;
-        best = search.round(&next, flights(part), few(keep, 4))?;
-    }
-    let finalists: Vec<Law> = best.into_iter().map(|t| t.law).collect();
-    let last = search.round(&finalists, args.flights, finalists.len())?;
-    let winner = last.first().context("no law was tried")?;
+    let (winner, tried) = search.best(args.laws, args.flights, args.seed)?;
+    let winner = &winner;
     let paper = search.fly(&args.controller.paper(), args.flights, None);
     let file = LawFile {
-        controller: args.controller.name().into(),
+        controller: args.controller,
         law: winner.law.clone(),
         found: Provenance {
             command: std::env::args().collect::<Vec<_>>().join(" "),
@@ -270,7 +258,7 @@ pub fn run(args: &Tune) -> Result<()> {
     let path = args.out.join(format!("{}.toml", args.controller.name()));
     write_whole(&path, toml::to_string(&file)?.as_bytes())
         .with_context(|| format!("writing {}", path.display()))?;
-    let around = sensitivity(&search, winner, &paper, args.flights.min(400));
+    let around = sensitivity(&search, winner, args.flights.min(400));
     let table = table(&args.scenario, &paper, winner, &around);
     let path_table = args.out.join(format!("{}.txt", args.controller.name()));
     write_whole(&path_table, table.as_bytes()).with_context(|| format!("writing {}", path_table.display()))?;
@@ -288,7 +276,7 @@ fn mean_d_f(tried: &Tried) -> f64 {
 }
 
 /// The tuned law with one number changed at a time.
-fn sensitivity(search: &Search, winner: &Tried, paper: &Tried, flights: u64) -> Vec<(String, Tried)> {
+fn sensitivity(search: &Search, winner: &Tried, flights: u64) -> Vec<(String, Tried)> {
     let base = &winner.law;
     let mut around: Vec<(String, Law)> = vec![("as tuned".into(), base.clone())];
     for by in [0.5, 0.8, 1.25, 2.0] {
@@ -308,7 +296,6 @@ fn sensitivity(search: &Search, winner: &Tried, paper: &Tried, flights: u64) -> 
     for lower_after in [2, 8, 16] {
         around.push((format!("lower_after {lower_after}"), Law { lower_after, ..base.clone() }));
     }
-    let _ = paper;
     around.into_iter().map(|(name, law)| (name, search.fly(&law, flights, None))).collect()
 }
 

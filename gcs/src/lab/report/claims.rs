@@ -17,7 +17,7 @@ use Metric::{
 use Said::{Less, More, MoreThan, Near, Range, Same, Value};
 
 /// Who flies as the paper's RCC and UCC: one line a pair. All but the first are measured only where they fly.
-pub const TEAMS: &[[Controller; 2]] = &[[Rcc, Ucc]];
+pub const TEAMS: &[[Controller; 2]] = &[[Rcc, Ucc], [Controller::RccPaper, Controller::UccPaper]];
 
 /// What measures a claim.
 #[derive(Debug, Clone, Copy, PartialEq)]

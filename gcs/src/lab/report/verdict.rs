@@ -56,6 +56,18 @@ impl Verdict {
         }
     }
 
+    /// In one word or two, for a column's head.
+    #[must_use]
+    pub fn short(self) -> &'static str {
+        match self {
+            Self::Agrees => "agrees",
+            Self::Stronger => "stronger",
+            Self::Weaker => "weaker",
+            Self::NoDifference => "none",
+            Self::Contradicts => "contradicts",
+        }
+    }
+
     /// A class of the page's style sheet.
     #[must_use]
     pub fn class(self) -> &'static str {

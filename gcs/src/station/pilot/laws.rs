@@ -2,17 +2,47 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 
 use super::reactive::Law;
+
+/// Which controllers have a law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tunable {
+    /// Reactive constrained control
+    Rcc,
+    /// Unconstrained communication control
+    Ucc,
+}
+
+impl Tunable {
+    /// Its untuned law.
+    #[must_use]
+    pub fn paper(self) -> Law {
+        match self {
+            Self::Rcc => Law::RCC_PAPER,
+            Self::Ucc => Law::UCC_PAPER,
+        }
+    }
+
+    /// Its name in commands and files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rcc => "rcc",
+            Self::Ucc => "ucc",
+        }
+    }
+}
 
 /// A file of `gcs tune`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LawFile {
-    /// Whose numbers they are: `rcc` or `ucc`.
-    pub controller: String,
+    /// Whose numbers they are.
+    pub controller: Tunable,
     /// The numbers.
     pub law: Law,
     /// How they were found.
@@ -76,24 +106,25 @@ impl Laws {
     pub fn load<P: AsRef<Path>>(files: &[P]) -> Result<Self> {
         let mut laws = Self { rcc: Law::RCC_PAPER, ucc: Law::UCC_PAPER };
         for (name, text) in SHIPPED {
-            laws.set(LawFile::parse(text).with_context(|| format!("reading {name}"))?)?;
+            let file = LawFile::parse(text).with_context(|| format!("reading {name}"))?;
+            laws.set(file.controller, file.law);
         }
         for path in files {
             let path = path.as_ref();
             let reading = || format!("reading {}", path.display());
             let text = std::fs::read_to_string(path).with_context(reading)?;
-            laws.set(LawFile::parse(&text).with_context(reading)?).with_context(reading)?;
+            let file = LawFile::parse(&text).with_context(reading)?;
+            laws.set(file.controller, file.law);
         }
         Ok(laws)
     }
 
-    fn set(&mut self, file: LawFile) -> Result<()> {
-        match file.controller.as_str() {
-            "rcc" => self.rcc = file.law,
-            "ucc" => self.ucc = file.law,
-            other => bail!("controller = {other:?}: must be rcc or ucc"),
+    /// Replaces the law of one of them.
+    pub fn set(&mut self, controller: Tunable, law: Law) {
+        match controller {
+            Tunable::Rcc => self.rcc = law,
+            Tunable::Ucc => self.ucc = law,
         }
-        Ok(())
     }
 }
 
@@ -115,7 +146,6 @@ mod tests {
         for (change, told) in [
             ((|f| f.law.position_gain = -1.0) as fn(&mut LawFile), "position_gain = -1: must lie in [0, 100]"),
             (|f| f.law.steps = 0, "steps = 0: must lie in [1, 1000]"),
-            (|f| f.controller = "apc".into(), "controller = \"apc\": must be rcc or ucc"),
         ] {
             let mut wrong = file.clone();
             change(&mut wrong);
