@@ -26,14 +26,13 @@ fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (
         });
     }
     // A barrier that is felt: tolerances wide enough that both logarithms are proper.
-    let objective =
-        Objective {
-            collision_tolerance: 0.9,
-            outage_tolerance: 0.9,
-            beta: 20.0,
-            cost: Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() },
-            ..Objective::default()
-        };
+    let objective = Objective {
+        collision_tolerance: 0.9,
+        outage_tolerance: 0.9,
+        beta: 20.0,
+        cost: Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() },
+        ..Objective::default()
+    };
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);

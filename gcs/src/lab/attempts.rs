@@ -83,7 +83,13 @@ pub fn optimise_for(
         let flown = check::after(&config, world, &policies, scenario, watch.stop())?;
         watch.flown(&flown);
         policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));
-        let made = Optimised { policies, outcome, flown, attempts: attempt.number + 1, wall_s: stopwatch.seconds().0 };
+        let made = Optimised {
+            policies,
+            outcome,
+            flown,
+            attempts: attempt.number + 1,
+            wall_s: stopwatch.seconds().0,
+        };
         let holds = flown.holds();
         if best.as_ref().is_none_or(|best| best.flown.least() <= flown.least()) {
             best = Some(made);

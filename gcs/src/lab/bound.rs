@@ -4,13 +4,12 @@
 //! chance constraints as penalties, which is what APC flies, and without them and with every packet delivered, which
 //! bounds J of controllers that break a constraint too. Both carry the lattice's own error; APC's flights show it.
 
-use std::time::Instant;
-
 use anyhow::{Result, bail};
 use crpl_model::numeric::statistics::{Interval, Mean, quantile};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
+use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::metric::{FlightScore, Metric};
 use crpl_sitl::units::Tick;
@@ -91,12 +90,13 @@ pub fn run(args: &Bound) -> Result<()> {
     let stop = StopSignal::listen()?;
     let config = ValueConfig::default();
     let unconstrained = Solution::of(&scenario, Constraints::Ignored, &config).of_start();
-    let began = Instant::now();
+    let stopwatch = Stopwatch::default();
     let apc = Apc::new(&scenario);
-    let solve_s = began.elapsed().as_secs_f64();
+    let solve_s = stopwatch.seconds().0;
     let decision_ms = decision(&apc, &scenario);
-    let all: Vec<Controller> =
-        std::iter::once(Controller::Apc).chain(args.controller.iter().copied().filter(|c| *c != Controller::Apc)).collect();
+    let all: Vec<Controller> = std::iter::once(Controller::Apc)
+        .chain(args.controller.iter().copied().filter(|c| *c != Controller::Apc))
+        .collect();
     let bar = progress::bar("flights", args.episodes * all.len() as u64);
     let mut flown: Vec<(Controller, Vec<FlightScore>)> = Vec::new();
     for controller in all {
@@ -105,7 +105,8 @@ pub fn run(args: &Bound) -> Result<()> {
     }
     bar.finish_and_clear();
     let oracle: Vec<f64> = flown[0].1.iter().map(|s| s[Metric::StageCost]).collect();
-    let rows = flown.iter().map(|(controller, scores)| row(*controller, scores, &oracle, &scenario)).collect();
+    let rows =
+        flown.iter().map(|(controller, scores)| row(*controller, scores, &oracle, &scenario)).collect();
     let bounds = Bounds {
         scenario: scenario.name.clone(),
         episodes: args.episodes,
@@ -149,10 +150,12 @@ fn fly(
 
 fn row(controller: Controller, scores: &[FlightScore], oracle: &[f64], scenario: &Scenario) -> BoundRow {
     let values = |m: Metric| scores.iter().map(|s| s[m]).collect::<Vec<_>>();
-    let (j, risk, out) = (values(Metric::StageCost), values(Metric::CollisionProbability), values(Metric::Outages));
+    let (j, risk, out) =
+        (values(Metric::StageCost), values(Metric::CollisionProbability), values(Metric::Outages));
     let more: Vec<f64> = j.iter().zip(oracle).map(|(j, best)| j - best).collect();
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    let collided = scores.iter().filter(|s| s[Metric::Collisions] > 0.0).count() as f64 / scores.len().max(1) as f64;
+    let collided =
+        scores.iter().filter(|s| s[Metric::Collisions] > 0.0).count() as f64 / scores.len().max(1) as f64;
     let safety = &scenario.safety;
     let keeps = mean(&risk) <= safety.collision_tolerance
         && collided <= safety.collision_tolerance
@@ -175,9 +178,9 @@ fn decision(apc: &Apc, scenario: &Scenario) -> f64 {
         .map(|n| {
             let r = scenario.start + way * (n as f64 / 100.0);
             let now = Present { r, v: 0.02 * way, obstacles, link: None };
-            let began = Instant::now();
+            let stopwatch = Stopwatch::default();
             std::hint::black_box(apc.decide(Tick(n.min(scenario.horizon)), &now));
-            began.elapsed().as_secs_f64() * 1e3
+            1e3 * stopwatch.seconds().0
         })
         .collect();
     quantile(&times, 0.5)

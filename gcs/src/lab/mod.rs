@@ -13,8 +13,8 @@ pub mod policies;
 pub mod random;
 pub mod report;
 pub mod run_folder;
-pub mod summary;
 pub mod sensitivity;
+pub mod summary;
 pub mod sweep;
 pub mod tune;
 

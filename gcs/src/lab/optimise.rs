@@ -265,7 +265,10 @@ impl AttemptWatch for Show {
             let o = &config.objective;
             let (safe, comm, snr) = (o.collision_tolerance, o.outage_tolerance, config.snr_headroom);
             self.bar.suspend(|| {
-                tracing::info!("attempt {}: tolerances {safe:.4}, {comm:.4}, SNR times {snr:.2}", attempt.number + 1);
+                tracing::info!(
+                    "attempt {}: tolerances {safe:.4}, {comm:.4}, SNR times {snr:.2}",
+                    attempt.number + 1
+                );
             });
         }
     }

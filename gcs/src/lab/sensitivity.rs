@@ -258,7 +258,9 @@ fn one(
             let ours = quantity.measure(claim.who, &plan, &episodes);
             let row = VerdictRow::of_sweep(name, &claim, quantity, ours);
             if let Some(verdict) = row.verdict() {
-                outcome.verdicts.push((format!("{} (paper {})", row.quantity, row.paper), verdict.words().into()));
+                outcome
+                    .verdicts
+                    .push((format!("{} (paper {})", row.quantity, row.paper), verdict.words().into()));
             }
         }
     }
@@ -377,7 +379,10 @@ mod tests {
             outcome(1, "", &[("a", Verdict::Agrees), ("b", Verdict::Weaker)]),
             outcome(2, "no", &[]),
         ]);
-        assert!(text.starts_with("3 worlds: 0 with one") && text.contains("in 1 of them no policy"), "{text}");
+        assert!(
+            text.starts_with("3 worlds: 0 with one") && text.contains("in 1 of them no policy"),
+            "{text}"
+        );
         let row = |name: &str| text.lines().find(|l| l.starts_with(name)).unwrap().split_whitespace().skip(1);
         assert_eq!(row("a ").collect::<Vec<_>>(), ["2", "0", "0", "0", "0"]);
         assert_eq!(row("b ").collect::<Vec<_>>(), ["0", "0", "1", "0", "1"]);

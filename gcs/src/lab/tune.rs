@@ -103,8 +103,10 @@ fn fly(law: &Law, scenario: &Scenario, seed: u64) -> Option<FlightScore> {
 }
 
 fn measure(law: &Law, scenario: &Scenario, first_seed: u64, flights: u64) -> Measured {
-    let scores: Vec<FlightScore> =
-        (first_seed..first_seed + flights).into_par_iter().filter_map(|seed| fly(law, scenario, seed)).collect();
+    let scores: Vec<FlightScore> = (first_seed..first_seed + flights)
+        .into_par_iter()
+        .filter_map(|seed| fly(law, scenario, seed))
+        .collect();
     let mean = |m: Metric| Mean::of(&scores.iter().map(|s| s[m]).collect::<Vec<_>>());
     let share = |is: &dyn Fn(&FlightScore) -> bool| {
         scores.iter().filter(|s| is(s)).count() as f64 / scores.len().max(1) as f64
@@ -133,7 +135,8 @@ impl Search {
     fn fly(&self, law: &Law, flights: u64, base: Option<&Tried>) -> Tried {
         let worlds: Vec<Measured> =
             self.worlds.iter().map(|world| measure(law, world, self.first_seed, flights)).collect();
-        let ratio = |(n, world): (usize, &Measured)| world.d_f.mean / base.map_or(1.0, |b| b.worlds[n].d_f.mean);
+        let ratio =
+            |(n, world): (usize, &Measured)| world.d_f.mean / base.map_or(1.0, |b| b.worlds[n].d_f.mean);
         let aim = worlds.iter().enumerate().map(ratio).sum::<f64>() / worlds.len().max(1) as f64;
         let holds = worlds.iter().zip(&self.worlds).all(|(world, scenario)| {
             let delta = scenario.safety.collision_tolerance;
@@ -189,7 +192,13 @@ impl Search {
 ///
 /// # Errors
 /// A signal.
-pub fn tuned(controller: Tunable, worlds: Vec<Scenario>, laws: u64, flights: u64, stop: StopSignal) -> Result<Law> {
+pub fn tuned(
+    controller: Tunable,
+    worlds: Vec<Scenario>,
+    laws: u64,
+    flights: u64,
+    stop: StopSignal,
+) -> Result<Law> {
     let search = Search { controller, worlds, first_seed: FIRST_TRAINING, stop };
     Ok(search.best(laws, flights, 0)?.0.law)
 }
@@ -222,7 +231,8 @@ fn near(law: &Law, rng: &mut impl Rng) -> Law {
         headroom: by(law.headroom).max(1.0),
         ..law.clone()
     };
-    let mut shift = |n: u32, by: i64, least: i64| (i64::from(n) + rng.random_range(-by..=by)).max(least) as u32;
+    let mut shift =
+        |n: u32, by: i64, least: i64| (i64::from(n) + rng.random_range(-by..=by)).max(least) as u32;
     next.steps = shift(law.steps, 2, 1);
     next.raise_after = shift(law.raise_after, 1, 1);
     next.lower_after = shift(law.lower_after, 2, 1);
@@ -235,8 +245,12 @@ fn near(law: &Law, rng: &mut impl Rng) -> Law {
 /// A world that does not read, a file that cannot be written, a signal.
 pub fn run(args: &Tune) -> Result<()> {
     let worlds = args.scenario.iter().map(|name| Ok(Scenario::named(name)?)).collect::<Result<_>>()?;
-    let search =
-        Search { controller: args.controller, worlds, first_seed: args.first_seed, stop: StopSignal::listen()? };
+    let search = Search {
+        controller: args.controller,
+        worlds,
+        first_seed: args.first_seed,
+        stop: StopSignal::listen()?,
+    };
     let (winner, tried) = search.best(args.laws, args.flights, args.seed)?;
     let winner = &winner;
     let paper = search.fly(&args.controller.paper(), args.flights, None);
@@ -261,7 +275,8 @@ pub fn run(args: &Tune) -> Result<()> {
     let around = sensitivity(&search, winner, args.flights.min(400));
     let table = table(&args.scenario, &paper, winner, &around);
     let path_table = args.out.join(format!("{}.txt", args.controller.name()));
-    write_whole(&path_table, table.as_bytes()).with_context(|| format!("writing {}", path_table.display()))?;
+    write_whole(&path_table, table.as_bytes())
+        .with_context(|| format!("writing {}", path_table.display()))?;
     if args.json {
         println!("{}", serde_json::json!({"law": file, "paper": paper, "tuned": winner}));
     } else {
@@ -281,8 +296,14 @@ fn sensitivity(search: &Search, winner: &Tried, flights: u64) -> Vec<(String, Tr
     let mut around: Vec<(String, Law)> = vec![("as tuned".into(), base.clone())];
     for by in [0.5, 0.8, 1.25, 2.0] {
         let scaled = |x: f64| x * by;
-        around.push((format!("position_gain x {by}"), Law { position_gain: scaled(base.position_gain), ..base.clone() }));
-        around.push((format!("velocity_gain x {by}"), Law { velocity_gain: scaled(base.velocity_gain), ..base.clone() }));
+        around.push((
+            format!("position_gain x {by}"),
+            Law { position_gain: scaled(base.position_gain), ..base.clone() },
+        ));
+        around.push((
+            format!("velocity_gain x {by}"),
+            Law { velocity_gain: scaled(base.velocity_gain), ..base.clone() },
+        ));
         if let Some(margin) = base.margin {
             around.push((format!("margin x {by}"), Law { margin: Some(scaled(margin)), ..base.clone() }));
         }

@@ -391,8 +391,7 @@ fn always_connected(
     o: &Objective,
     motion: &Mlp,
 ) -> f64 {
-    let draws =
-        problem.draws(noise, Stream::Evaluation, 1 << 30, COUNTED, problem.obstacle, config.horizon);
+    let draws = problem.draws(noise, Stream::Evaluation, 1 << 30, COUNTED, problem.obstacle, config.horizon);
     let full = TxPower::High.level() as f32;
     let kept: usize = draws
         .par_iter()

@@ -241,8 +241,7 @@ impl PlanningProblem {
                 };
                 let wind = (0..horizon).map(|_| [lane(), lane()]).collect();
                 let obstacles = vec![[fixed, fixed]];
-                Draws { start, obstacles, reported_obstacle: None, wind, beyond: 0,
-                    opening: Vec::new() }
+                Draws { start, obstacles, reported_obstacle: None, wind, beyond: 0, opening: Vec::new() }
             })
             .collect()
     }
@@ -287,10 +286,8 @@ fn plant(world: &WorldModel, scenario: &Scenario, config: &OptimiseConfig) -> Re
 /// The edge's risk in latent units of `scale` a unit of length.
 fn edge(scale: f64, scenario: &Scenario, config: &OptimiseConfig) -> Option<Edge> {
     let margin = scenario.safety.edge_margin;
-    (margin > 0.0).then(|| Edge {
-        margin: (scale * margin) as f32,
-        softness: (scale * config.edge_softness) as f32,
-    })
+    (margin > 0.0)
+        .then_some(Edge { margin: (scale * margin) as f32, softness: (scale * config.edge_softness) as f32 })
 }
 
 /// The world model's heads of risk and gain, the noise power folded in. Where the scenario's channel has another

@@ -83,7 +83,8 @@ pub fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> 
                 obstacles: vec![obstacle],
                 reported_obstacle: None,
                 wind,
-                beyond: 0, opening: Vec::new(),
+                beyond: 0,
+                opening: Vec::new(),
             }
         })
         .collect()

@@ -135,7 +135,8 @@ impl Metric {
             }
             Self::Overshoot => {
                 let way = scenario.goal - scenario.start;
-                let along = |r: &Record| (r.r_next - scenario.goal).dot(&way) / way.norm().max(f64::MIN_POSITIVE);
+                let along =
+                    |r: &Record| (r.r_next - scenario.goal).dot(&way) / way.norm().max(f64::MIN_POSITIVE);
                 records.iter().map(along).fold(0.0, f64::max)
             }
             Self::OutageEpisodes => entries(records, |r| r.outage),
@@ -218,9 +219,13 @@ impl Metric {
                 is_of_paper: false,
                 ..ABOUT
             },
-            Self::OutageEpisodes => {
-                About { key: "outage_episodes", symbol: "outages", title: "times the link was lost", head: "outages", ..EVENTS }
-            }
+            Self::OutageEpisodes => About {
+                key: "outage_episodes",
+                symbol: "outages",
+                title: "times the link was lost",
+                head: "outages",
+                ..EVENTS
+            },
             Self::Collisions => About {
                 key: "collisions",
                 symbol: "coll",

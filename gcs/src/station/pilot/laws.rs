@@ -144,7 +144,10 @@ mod tests {
         assert_eq!(laws.rcc.position_gain, 0.5);
         assert_eq!(laws.ucc, Laws::load::<&Path>(&[]).unwrap().ucc);
         for (change, told) in [
-            ((|f| f.law.position_gain = -1.0) as fn(&mut LawFile), "position_gain = -1: must lie in [0, 100]"),
+            (
+                (|f| f.law.position_gain = -1.0) as fn(&mut LawFile),
+                "position_gain = -1: must lie in [0, 100]",
+            ),
             (|f| f.law.steps = 0, "steps = 0: must lie in [1, 1000]"),
         ] {
             let mut wrong = file.clone();

@@ -67,9 +67,8 @@ impl Axis {
         let (x, first) = (x.clamp(nodes[0], nodes[nodes.len() - 1]), low - 1);
         let weight = |n: usize| -> f32 {
             let others = (0..4).filter(|m| *m != n);
-            others
-                .map(|m| (x - nodes[first + m]) / (nodes[first + n] - nodes[first + m]))
-                .product::<f64>() as f32
+            others.map(|m| (x - nodes[first + m]) / (nodes[first + n] - nodes[first + m])).product::<f64>()
+                as f32
         };
         (std::array::from_fn(|n| first + n), std::array::from_fn(weight))
     }
@@ -103,12 +102,18 @@ impl Grid {
         let (x, y) = (self.place.taps(state.r.x), self.place.taps(state.r.y));
         let (vx, vy) = (self.speed.taps(state.v.x), self.speed.taps(state.v.y));
         let (places, speeds) = (self.place.len(), self.speed.len());
-        let value = between(vy.0.map(|jy| {
-            between(vx.0.map(|jx| {
-                let plane = &values[(jy * speeds + jx) * self.plane()..];
-                between(y.0.map(|iy| between(x.0.map(|ix| plane[iy * places + ix]), &x.1)), &y.1)
-            }), &vx.1)
-        }), &vy.1);
+        let value = between(
+            vy.0.map(|jy| {
+                between(
+                    vx.0.map(|jx| {
+                        let plane = &values[(jy * speeds + jx) * self.plane()..];
+                        between(y.0.map(|iy| between(x.0.map(|ix| plane[iy * places + ix]), &x.1)), &y.1)
+                    }),
+                    &vx.1,
+                )
+            }),
+            &vy.1,
+        );
         f64::from(value)
     }
 }

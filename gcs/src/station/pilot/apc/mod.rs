@@ -29,7 +29,8 @@ pub struct Apc {
 }
 
 /// Nodes and weights of the three-point Gauss-Hermite rule, in standard deviations.
-const NODES: [(f64, f64); 3] = [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
+const NODES: [(f64, f64); 3] =
+    [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
 impl Apc {
     /// The oracle of `scenario`; solves it, seconds on one core.

@@ -100,7 +100,10 @@ pub fn moved(now: &Obstacles, scenario: &Scenario, tick: u64) -> Obstacles {
         }
         (state.v, o.margin)
     });
-    now.iter().zip(ways).map(|(r, (v, margin))| dynamics::step_obstacle(State { r: *r, v }, margin).r).collect()
+    now.iter()
+        .zip(ways)
+        .map(|(r, (v, margin))| dynamics::step_obstacle(State { r: *r, v }, margin).r)
+        .collect()
 }
 
 /// Where the scenario's obstacles are at the start of each interval from 0 to H.

@@ -164,7 +164,9 @@ impl<'a> Solver<'a> {
         let along = |rows: &[Row]| {
             let mut all = vec![0.0f32; m * n * plane];
             all.par_chunks_mut(plane).enumerate().for_each(|(j, out)| {
-                rows[j % n].iter().for_each(|(x, w)| add(out, *w, &arrived[(j / n * m + x) * plane..][..plane]));
+                rows[j % n]
+                    .iter()
+                    .for_each(|(x, w)| add(out, *w, &arrived[(j / n * m + x) * plane..][..plane]));
             });
             all
         };
