@@ -1,6 +1,5 @@
 //! The golden vectors are what the independent reference in Python makes of the paper: CI compares them.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use tests::python;
 
