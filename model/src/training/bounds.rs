@@ -73,7 +73,7 @@ fn round(linear: &PlaneLinear, samples: &[Sample], bounds: Bounds) -> Bounds {
     for sample in samples {
         weigh(linear, &bounds, sample, &mut seen);
     }
-    let [low, high] = seen.sides.map(|side| side.map(|told| weighted_median(told)));
+    let [low, high] = seen.sides.map(|side| side.map(weighted_median));
     let side = |told: [Option<f64>; 2], now: Vector2<f64>| {
         Vector2::new(told[0].unwrap_or(now.x), told[1].unwrap_or(now.y))
     };
