@@ -87,7 +87,8 @@ pub fn train(
     let data = collect(config.episodes, selection, TRAINING_EPISODES);
     let held_out = collect(config.held_out, selection, TRAINING_EPISODES + 1);
     let all = collect(config.episodes, Selection::All, TRAINING_EPISODES + 2);
-    let bounds = Some(bounds::fit(&model.controllable(), &all.samples()));
+    let samples = all.samples();
+    let bounds = (!samples.is_empty()).then(|| bounds::fit(&model.controllable(), &samples));
     let scaling = scaling(&data);
     let px = SIDE as f64 / model.scale;
     let fit = |(number, kind): (usize, &PredictorKind)| {
