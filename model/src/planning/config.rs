@@ -104,7 +104,7 @@ impl Default for OptimiseConfig {
             gust_std: 0.0027,
             gust_least: 1.0,
             gust_factor: 1.8,
-            edge_softness: 0.01,
+            edge_softness: 0.006,
             snr_headroom: 1.08,
             start_spread: [0.03, 0.01],
             starts: 2048,
