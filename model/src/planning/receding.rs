@@ -40,7 +40,7 @@ impl Default for RecedingConfig {
     fn default() -> Self {
         Self {
             every: 4,
-            iterations: 10,
+            iterations: 0,
             rollouts: 64,
             learning_rate: 1e-3,
             gradient_clip: 1.0,
