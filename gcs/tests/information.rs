@@ -1,11 +1,15 @@
 //! What a controller may see is in its signature: garbage in everything else changes no byte of what it
 //! commands.
 
+use std::sync::Arc;
+
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::{MismatchRule, Models};
 use crpl_gcs::station::pilot::{Controller, Pilot};
-use crpl_sitl::radio::message::{Command, Percept};
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::scenario::Scenario;
+use crpl_sitl::world::dynamics::State;
 use crpl_sitl::{Sim, units::Tick};
 use nalgebra::Vector2;
 
@@ -63,18 +67,60 @@ fn bytes(command: &Command) -> ([u8; 8], u8, Tick) {
     (accel, command.power.into(), command.tick)
 }
 
+/// A pilot for [`scenario`], and what its station reads latents with.
+fn pilot(controller: Controller) -> (Pilot, Arc<WorldModel>) {
+    // Which policies fly does not matter here.
+    let models = Models::load(None, None).expect("the shipped models read");
+    let models = Models { mismatch: MismatchRule::Allow, ..models };
+    let (pilot, _) = Pilot::load(controller, &models, &scenario()).expect("the shipped policies fit");
+    (pilot, models.world)
+}
+
+/// A whole flight.
+#[derive(PartialEq)]
+struct Flown {
+    /// Of every command.
+    bytes: Vec<([u8; 8], u8, Tick)>,
+    /// Where the UAV truly was.
+    states: Vec<State>,
+    reached: bool,
+}
+
+impl Flown {
+    /// The interval in which another flight parts from this one.
+    fn parts_from(&self, other: &Self) -> Option<usize> {
+        let same =
+            |k: &usize| self.bytes.get(*k) == other.bytes.get(*k) && self.states[*k] == other.states[*k];
+        (0..self.states.len().min(other.states.len())).find(|k| !same(k))
+    }
+}
+
+/// Flies `seed` to its end by a station that is told `told` and hears through `blind`.
+fn fly(controller: Controller, seed: u64, told: &Scenario, blind: impl Fn(&Percept) -> Percept) -> Flown {
+    let (pilot, world) = pilot(controller);
+    let mut station = Station::new(told.clone(), world, pilot);
+    let mut sim = Sim::new(scenario(), seed);
+    let mut flown = Flown { bytes: Vec::new(), states: vec![sim.world().uav], reached: false };
+    while sim.tick().0 < scenario().horizon && !sim.is_fallen() {
+        let command = station.handle(&blind(&sim.percept()));
+        flown.bytes.push(bytes(&command));
+        sim.handle(command);
+        sim.advance();
+        flown.states.push(sim.world().uav);
+    }
+    flown.reached = (sim.world().uav.r - scenario().goal).norm() <= scenario().goal_radius;
+    flown
+}
+
 /// Both stations hear the same flight, of which `other` hears through `blind`; their commands are equal.
 fn same_commands(
     controller: Controller,
     other: Scenario,
     blind: impl Fn(&Percept) -> Percept,
 ) -> Result<(), u64> {
-    // Which policies fly does not matter here.
-    let models = Models::load(None, None).expect("the shipped models read");
-    let models = Models { mismatch: MismatchRule::Allow, ..models };
-    let (pilot, _) = Pilot::load(controller, &models, &scenario()).expect("the shipped policies fit");
-    let mut sighted = Station::new(scenario(), models.world.clone(), pilot.clone());
-    let mut blinded = Station::new(other, models.world, pilot);
+    let (pilot, world) = pilot(controller);
+    let mut sighted = Station::new(scenario(), world.clone(), pilot.clone());
+    let mut blinded = Station::new(other, world, pilot);
     let mut sim = Sim::new(scenario(), 3);
     for tick in 0..TICKS {
         let percept = sim.percept();
@@ -92,6 +138,74 @@ fn same_commands(
 fn crpl_on_frames_reads_no_telemetry_but_what_was_heard_and_no_scenario() {
     for controller in [Controller::Crpl, Controller::CrplBw, Controller::CrplRh] {
         assert_eq!(same_commands(controller, garbage(), blinded), Ok(()), "{controller}");
+    }
+}
+
+/// One value of the telemetry that CRPL does not get, replaced.
+type Blindfold = (&'static str, fn(&mut Telemetry, f32));
+
+/// Each value that CRPL does not get, replaced by garbage: alone, and all at once.
+const BLINDFOLDS: [Blindfold; 7] = [
+    ("north", |t, x| t.position[0] = x),
+    ("east", |t, x| t.position[1] = x),
+    ("velocity north", |t, x| t.velocity[0] = x),
+    ("velocity east", |t, x| t.velocity[1] = x),
+    ("obstacle north", |t, x| t.obstacles = [[x, t.obstacles[0][1]]].into()),
+    ("obstacle east", |t, x| t.obstacles = [[t.obstacles[0][0], x]].into()),
+    ("all", |t, x| {
+        (t.position, t.velocity, t.obstacles) = ([x, -x], [0.1 * x, x], [[-x, 0.3 * x]].into());
+    }),
+];
+
+/// Garbage of a plausible size, another in each interval.
+fn worn(percept: &Percept, (_, blindfold): Blindfold) -> Percept {
+    let mut percept = percept.clone();
+    let k = percept.telemetry.tick.0;
+    let garbage = ((k * 7919 + 13) % 1009) as f32 - 500.0;
+    blindfold(&mut percept.telemetry, garbage);
+    percept
+}
+
+fn crpl_flies_blindfold(controller: Controller, blindfolds: &[Blindfold]) {
+    let sighted = fly(controller, 3, &scenario(), Percept::clone);
+    assert!(sighted.reached && sighted.bytes.len() as u64 == scenario().horizon, "{controller}");
+    for blindfold in blindfolds {
+        let blind = fly(controller, 3, &scenario(), |percept| worn(percept, *blindfold));
+        assert_eq!(blind.parts_from(&sighted), None, "{controller}, {}", blindfold.0);
+        assert!(blind == sighted, "{controller}, {}: one is longer", blindfold.0);
+    }
+}
+
+#[test]
+fn whole_flights_of_crpl_are_the_same_without_each_value_that_it_does_not_get() {
+    crpl_flies_blindfold(Controller::Crpl, &BLINDFOLDS);
+    crpl_flies_blindfold(Controller::CrplBw, &BLINDFOLDS);
+    // Re-optimised at every interval, so all at once.
+    crpl_flies_blindfold(Controller::CrplRh, &BLINDFOLDS[6..]);
+}
+
+#[test]
+fn whole_flights_of_crpl_are_the_same_in_a_scenario_of_garbage() {
+    let blind = |percept: &Percept| worn(percept, BLINDFOLDS[6]);
+    for controller in [Controller::Crpl, Controller::CrplBw] {
+        let sighted = fly(controller, 4, &scenario(), Percept::clone);
+        assert_eq!(fly(controller, 4, &garbage(), blind).parts_from(&sighted), None, "{controller}");
+    }
+}
+
+#[test]
+fn the_reactive_controllers_collapse_under_the_blindfold() {
+    let reached = |controller: Controller, blind: fn(&Percept) -> Percept| {
+        (0..20).filter(|seed| fly(controller, *seed, &scenario(), blind).reached).count()
+    };
+    let (sees, blindfold): (fn(&Percept) -> Percept, fn(&Percept) -> Percept) =
+        (Percept::clone, |percept| worn(percept, BLINDFOLDS[6]));
+    let crpl = reached(Controller::Crpl, blindfold);
+    assert_eq!(crpl, reached(Controller::Crpl, sees));
+    for controller in [Controller::Rcc, Controller::Ucc] {
+        let (sighted, blind) = (reached(controller, sees), reached(controller, blindfold));
+        println!("{controller}: {sighted} of 20 reach the goal, blindfold {blind}; crpl {crpl}");
+        assert!(sighted > 10 && blind == 0, "{controller}: {sighted} and {blind} of 20");
     }
 }
 

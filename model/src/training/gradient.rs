@@ -365,3 +365,20 @@ pub fn calibrated(mut weights: Weights, frames: &[Frame]) -> Weights {
     }
     weights
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_target_keeps_tau_of_itself() {
+        let mut target = crate::world_model::WorldModel::embedded().unwrap().encoder.weights().clone();
+        let mut online = target.clone();
+        target.parts_mut().into_iter().for_each(|part| part.fill(1.0));
+        online.parts_mut().into_iter().for_each(|part| part.fill(3.0));
+        follow(&mut target, &online, 0.75);
+        // 0.75 * 1 + 0.25 * 3
+        assert!(target.parts().into_iter().flatten().all(|t| *t == 1.5));
+        assert!(online.parts().into_iter().flatten().all(|o| *o == 3.0));
+    }
+}
