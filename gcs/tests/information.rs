@@ -96,9 +96,13 @@ impl Flown {
 }
 
 /// Flies `seed` to its end by a station that is told `told` and hears through `blind`.
-fn fly(controller: Controller, seed: u64, told: &Scenario, blind: impl Fn(&Percept) -> Percept) -> Flown {
-    let (pilot, world) = pilot(controller);
-    let mut station = Station::new(told.clone(), world, pilot);
+fn fly(
+    (pilot, world): &(Pilot, Arc<WorldModel>),
+    seed: u64,
+    told: &Scenario,
+    blind: impl Fn(&Percept) -> Percept,
+) -> Flown {
+    let mut station = Station::new(told.clone(), world.clone(), pilot.clone());
     let mut sim = Sim::new(scenario(), seed);
     let mut flown = Flown { bytes: Vec::new(), states: vec![sim.world().uav], reached: false };
     while sim.tick().0 < scenario().horizon && !sim.is_fallen() {
@@ -167,10 +171,11 @@ fn worn(percept: &Percept, (_, blindfold): Blindfold) -> Percept {
 }
 
 fn crpl_flies_blindfold(controller: Controller, blindfolds: &[Blindfold]) {
-    let sighted = fly(controller, 3, &scenario(), Percept::clone);
+    let pilot = pilot(controller);
+    let sighted = fly(&pilot, 3, &scenario(), Percept::clone);
     assert!(sighted.reached && sighted.bytes.len() as u64 == scenario().horizon, "{controller}");
     for blindfold in blindfolds {
-        let blind = fly(controller, 3, &scenario(), |percept| worn(percept, *blindfold));
+        let blind = fly(&pilot, 3, &scenario(), |percept| worn(percept, *blindfold));
         assert_eq!(blind.parts_from(&sighted), None, "{controller}, {}", blindfold.0);
         assert!(blind == sighted, "{controller}, {}: one is longer", blindfold.0);
     }
@@ -188,15 +193,17 @@ fn whole_flights_of_crpl_are_the_same_without_each_value_that_it_does_not_get() 
 fn whole_flights_of_crpl_are_the_same_in_a_scenario_of_garbage() {
     let blind = |percept: &Percept| worn(percept, BLINDFOLDS[6]);
     for controller in [Controller::Crpl, Controller::CrplBw] {
-        let sighted = fly(controller, 4, &scenario(), Percept::clone);
-        assert_eq!(fly(controller, 4, &garbage(), blind).parts_from(&sighted), None, "{controller}");
+        let pilot = pilot(controller);
+        let sighted = fly(&pilot, 4, &scenario(), Percept::clone);
+        assert_eq!(fly(&pilot, 4, &garbage(), blind).parts_from(&sighted), None, "{controller}");
     }
 }
 
 #[test]
 fn the_reactive_controllers_collapse_under_the_blindfold() {
     let reached = |controller: Controller, blind: fn(&Percept) -> Percept| {
-        (0..20).filter(|seed| fly(controller, *seed, &scenario(), blind).reached).count()
+        let pilot = pilot(controller);
+        (0..10).filter(|seed| fly(&pilot, *seed, &scenario(), blind).reached).count()
     };
     let (sees, blindfold): (fn(&Percept) -> Percept, fn(&Percept) -> Percept) =
         (Percept::clone, |percept| worn(percept, BLINDFOLDS[6]));
@@ -204,8 +211,8 @@ fn the_reactive_controllers_collapse_under_the_blindfold() {
     assert_eq!(crpl, reached(Controller::Crpl, sees));
     for controller in [Controller::Rcc, Controller::Ucc] {
         let (sighted, blind) = (reached(controller, sees), reached(controller, blindfold));
-        println!("{controller}: {sighted} of 20 reach the goal, blindfold {blind}; crpl {crpl}");
-        assert!(sighted > 10 && blind == 0, "{controller}: {sighted} and {blind} of 20");
+        println!("{controller}: {sighted} of 10 reach the goal, blindfold {blind}; crpl {crpl}");
+        assert!(sighted > 5 && blind == 0, "{controller}: {sighted} and {blind} of 10");
     }
 }
 

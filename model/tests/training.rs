@@ -6,7 +6,7 @@ use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
 use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::predictor::NetworksConfig;
-use crpl_model::training::recipe::{Run, TrainError, held_out, train};
+use crpl_model::training::recipe::{Run, TrainError, train};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{
     AlarmLimits, DataConfig, EvaluationConfig, PredictorConfig, TrainConfig,
@@ -72,7 +72,7 @@ fn a_model_is_measured_on_frames_that_training_did_not_draw() {
         let (scenario, check) = (Scenario::default(), model.card.metrics.label_free);
         evaluation::measure(&model, &config.evaluation, &config.heads, &scenario, noise, check)
     };
-    assert_eq!(model.card.metrics.probe, measured(&held_out(&config)).probe);
+    assert_eq!(model.card.metrics.probe, measured(&config.held_out()).probe);
     let seen = measured(&Noise::new(config.seed));
     assert_ne!(model.card.metrics.probe, seen.probe);
     assert_ne!(model.card.metrics.rollout, seen.rollout);

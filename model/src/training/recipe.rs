@@ -158,7 +158,7 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
         &config.evaluation,
         &config.heads,
         &scenario,
-        &held_out(config),
+        &config.held_out(),
         check.unwrap_or_default(),
     );
     let diagnostics = look_at(&model, &context, check);
@@ -239,15 +239,6 @@ pub fn without_heads(
 
 /// File of the stage with the risk and channel heads.
 const HEADS: &str = "heads.safetensors";
-
-/// Turns the seed of training into that of evaluation.
-const HELD_OUT: u64 = 0x6865_6c64_6f75_7421;
-
-/// The chance of the frames on which a model is measured: of another seed than its training's.
-#[must_use]
-pub fn held_out(config: &TrainConfig) -> Noise {
-    Noise::new(config.seed ^ HELD_OUT)
-}
 
 fn planes(noise: &Noise) -> Planes {
     [weights::random_plane(noise, 1), weights::random_plane(noise, 2)]
@@ -358,7 +349,7 @@ fn assemble(
 
 /// The diagnostics, through the cameras of the training.
 fn look_at(model: &WorldModel, context: &TrainContext<'_>, check: Option<FitCheck>) -> Diagnostics {
-    let noise = &held_out(context.config);
+    let noise = &context.config.held_out();
     let evaluation = &context.config.evaluation;
     let sizes = [evaluation.frames, evaluation.rollouts, evaluation.horizon];
     let cameras = CameraSet::new(&context.config.cameras, noise);
