@@ -83,11 +83,11 @@ fn each_constraint_has_its_own_tolerance_in_the_gradient() {
 
 #[test]
 fn an_infeasible_start_has_the_slope_of_the_tangent() {
-    for (seed, d1, d2) in (0..4).flat_map(|seed| [(seed, 1e-3, 0.9), (seed, 0.9, 1e-3), (seed, 1e-3, 2e-3)]) {
+    for (seed, d1) in (0..4).flat_map(|seed| [(seed, 1e-3), (seed, 1e-2)]) {
         let (exact, differences, here) =
-            slope_by_differences(&objective(d1, d2), RolloutLimits::Clip, seed, 1);
-        let at = format!("tolerances {d1}, {d2}, seed {seed}, {here:?}");
-        assert!(here.p_safe < 1.0 - d1 || here.p_comm < 1.0 - d2, "feasible: {at}");
+            slope_by_differences(&objective(d1, 0.9), RolloutLimits::Clip, seed, 1);
+        let at = format!("tolerance {d1}, seed {seed}, {here:?}");
+        assert!(here.p_safe < 1.0 - d1, "feasible: {at}");
         assert_near(exact, differences, &at);
     }
 }
