@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crpl_gcs::lab::Contender;
 use crpl_gcs::lab::check::ConstraintCheck;
+use crpl_model::numeric::mlp::Mlp;
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
@@ -35,4 +36,26 @@ fn a_policy_that_saves_power_in_the_shadow_is_caught_by_its_flights() {
     let flown = measure(&policies, &scenario, 4, 0);
     assert!(flown.safe.share == 1.0 && flown.comm.share == 0.0, "{flown:?}");
     assert!(!flown.comm.holds());
+}
+
+#[test]
+fn a_policy_that_flies_into_the_obstacle_is_caught_by_its_flights() {
+    // Scenario 2 with unequal tolerances and the obstacle on the straight way east.
+    let mut scenario = Scenario::numbered(2).expect("the paper's scenario");
+    scenario.obstacles[0].position.y = scenario.start.y;
+    (scenario.safety.collision_tolerance, scenario.safety.outage_tolerance) = (0.2, 0.1);
+    let mut policies = Policies::shipped(2).expect("the shipped policies read");
+    let east = |net: &mut Mlp| {
+        if let Some(last) = net.layers.last_mut() {
+            last.w.iter_mut().for_each(|w| *w = 0.0);
+            last.b = vec![0.0, 100.0, 0.0, 0.0, 0.0];
+        }
+    };
+    east(&mut policies.motion);
+    let flown = measure(&policies, &scenario, 4, 0);
+    assert_eq!((flown.safe.share, flown.safe.needed), (0.0, 0.8), "{flown:?}");
+    assert_eq!(flown.comm.needed, 0.9, "{flown:?}");
+    assert!(!flown.safe.holds() && !flown.holds());
+    let error = flown.verdict().expect_err("it collides").to_string();
+    assert!(error.contains("P_safe measured in 4 flights is 0.0000"), "{error}");
 }

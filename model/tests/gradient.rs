@@ -1,18 +1,30 @@
-//! The hand-written reverse mode of J_η against finite differences.
+//! The hand-written reverse mode of J_η against finite differences and, with the feature `train`, against burn's.
 
 mod oracle;
 
 use crpl_model::numeric::kernel::LANES;
-use crpl_model::planning::head::Head;
 use crpl_model::planning::objective;
-use crpl_model::planning::plant::{Edge, Execution, Objective, RolloutLimits, RolloutOptions};
+use crpl_model::planning::plant::{
+    Edge, Execution, Objective, ObjectiveEstimate, RolloutLimits, RolloutOptions,
+};
 use crpl_model::planning::policy::Policies;
 use crpl_sitl::scenario::Cost;
-use oracle::{by_autodiff, draws, net, plant};
+use oracle::{draws, net, plant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (f64, f64) {
+/// δ1 and δ2, β soft enough for differences.
+fn objective(collision_tolerance: f64, outage_tolerance: f64) -> Objective {
+    Objective { collision_tolerance, outage_tolerance, beta: 20.0, ..Objective::default() }
+}
+
+/// Slope of J along a random direction: by hand, by differences; and the J there.
+fn slope_by_differences(
+    objective: &Objective,
+    limits: RolloutLimits,
+    seed: u64,
+    obstacles: usize,
+) -> (f64, f64, ObjectiveEstimate) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut plant = plant(limits, &mut rng);
     // Near enough to be felt.
@@ -25,19 +37,13 @@ fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (
             d.obstacles.push([moved(f32::from(n)), moved(0.9 * f32::from(n))]);
         });
     }
-    // A barrier that is felt: tolerances wide enough that both logarithms are proper.
-    let objective = Objective {
-        collision_tolerance: 0.9,
-        outage_tolerance: 0.9,
-        beta: 20.0,
-        cost: Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() },
-        ..Objective::default()
-    };
+    let cost = Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() };
+    let objective = &Objective { cost, ..objective.clone() };
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let direction = net(&[6, 64, 64, 5], 1.0, &mut rng);
-    let (_, grad) = objective::gradient(&plant, &objective, options, &motion, &draws);
+    let (here, grad) = objective::gradient(&plant, objective, options, &motion, &draws);
     let dot: f64 = grad
         .layers
         .iter()
@@ -52,20 +58,44 @@ fn slope_by_differences(limits: RolloutLimits, seed: u64, obstacles: usize) -> (
             layer.w.iter_mut().zip(&d.w).for_each(|(w, d)| *w += sign * h * d);
             layer.b.iter_mut().zip(&d.b).for_each(|(b, d)| *b += sign * h * d);
         }
-        objective::evaluate(&plant, &objective, options, &moved, &draws).0.j
+        objective::evaluate(&plant, objective, options, &moved, &draws).0.j
     };
-    (dot, (at(1.0) - at(-1.0)) / (2.0 * f64::from(h)))
+    (dot, (at(1.0) - at(-1.0)) / (2.0 * f64::from(h)), here)
+}
+
+fn assert_near(exact: f64, differences: f64, at: &str) {
+    let error = (exact - differences).abs() / differences.abs().max(1e-3);
+    assert!(error < 0.02, "{at}: {exact} by hand, {differences} by differences");
 }
 
 #[test]
 fn gradient_agrees_with_finite_differences() {
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2), (seed, 3)]) {
-            let (exact, differences) = slope_by_differences(limits, seed, obstacles);
-            let error = (exact - differences).abs() / differences.abs().max(1e-3);
-            let at = format!("{limits:?}, seed {seed}, {obstacles} obstacles");
-            assert!(error < 0.02, "{at}: {exact} by hand, {differences} by differences");
+            // A barrier that is felt: tolerances wide enough that both logarithms are proper.
+            let (exact, differences, _) = slope_by_differences(&objective(0.9, 0.9), limits, seed, obstacles);
+            assert_near(exact, differences, &format!("{limits:?}, seed {seed}, {obstacles} obstacles"));
         }
+    }
+}
+
+#[test]
+fn each_constraint_has_its_own_tolerance_in_the_gradient() {
+    for (seed, d1, d2) in (0..4).flat_map(|seed| [(seed, 0.95, 0.6), (seed, 0.6, 0.95)]) {
+        let (exact, differences, here) =
+            slope_by_differences(&objective(d1, d2), RolloutLimits::Clip, seed, 1);
+        assert_near(exact, differences, &format!("tolerances {d1}, {d2}, seed {seed}, {here:?}"));
+    }
+}
+
+#[test]
+fn an_infeasible_start_has_the_slope_of_the_tangent() {
+    for (seed, d1) in (0..4).flat_map(|seed| [(seed, 1e-3), (seed, 1e-2)]) {
+        let (exact, differences, here) =
+            slope_by_differences(&objective(d1, 0.9), RolloutLimits::Clip, seed, 1);
+        let at = format!("tolerance {d1}, seed {seed}, {here:?}");
+        assert!(here.p_safe < 1.0 - d1, "feasible: {at}");
+        assert_near(exact, differences, &at);
     }
 }
 
@@ -128,8 +158,11 @@ fn rollouts_are_scored_one_by_one_as_in_a_batch() {
     assert!(all.safe.iter().all(|s| *s <= 1.0) && all.comm.iter().all(|s| (0.0..=1.0).contains(s)));
 }
 
+#[cfg(feature = "train")]
 #[test]
 fn gradient_agrees_with_autodiff() {
+    use crpl_model::planning::head::Head;
+
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut collision = net(&[4, 64, 64, 1], 3.0, &mut rng);
     collision.layers[2].b[0] = -3.0;
@@ -138,13 +171,13 @@ fn gradient_agrees_with_autodiff() {
     plant.collision = Head::new(collision.clone(), None).expect("a head's widths");
     plant.gain = Head::new(gain.clone(), None).expect("a head's widths");
     let draws = draws(2, 12, &mut rng);
-    let objective =
-        Objective { collision_tolerance: 0.9, outage_tolerance: 0.9, beta: 20.0, ..Objective::default() };
+    let objective = objective(0.95, 0.8);
     let mut motion = Policies::untrained(&mut rng).motion;
     motion.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Nearest };
     let (estimate, by_hand) = objective::gradient(&plant, &objective, options, &motion, &draws);
-    let (j, oracle) = by_autodiff::gradient(&plant, &collision, &gain, &objective, 1.0, &motion, &draws);
+    let (j, oracle) =
+        oracle::by_autodiff::gradient(&plant, &collision, &gain, &objective, 1.0, &motion, &draws);
     assert!((estimate.j - j).abs() < 1e-4 * j.abs().max(1.0), "J {} by hand, {j} by autodiff", estimate.j);
     let by_hand: Vec<&Vec<f32>> = by_hand.layers.iter().flat_map(|l| [&l.w, &l.b]).collect();
     for (n, (hand, auto)) in by_hand.iter().zip(&oracle).enumerate() {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crpl_model::encoder::module::Backend;
+use crpl_model::evaluation;
 use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::predictor::NetworksConfig;
 use crpl_model::training::recipe::{Run, TrainError, train};
@@ -11,8 +12,10 @@ use crpl_model::world_model::config::{
     AlarmLimits, DataConfig, EvaluationConfig, PredictorConfig, TrainConfig,
 };
 use crpl_model::world_model::stages::{Gradient, HeadStart, Layers, PsiStart, Stages};
+use crpl_sitl::Scenario;
 use crpl_sitl::camera::effects::Effects;
 use crpl_sitl::program::timing::Stopwatch;
+use crpl_sitl::world::noise::Noise;
 
 fn small() -> TrainConfig {
     TrainConfig {
@@ -62,6 +65,20 @@ fn equal_seeds_give_equal_bytes_on_one_core_and_on_all() {
 }
 
 #[test]
+fn a_model_is_measured_on_frames_that_training_did_not_draw() {
+    let dir = tempfile::tempdir().unwrap();
+    let (config, model) = (small(), run(dir.path(), Backend::Flex, false).unwrap());
+    let measured = |noise: &Noise| {
+        let (scenario, check) = (Scenario::default(), model.card.metrics.label_free);
+        evaluation::measure(&model, &config.evaluation, &config.heads, &scenario, noise, check)
+    };
+    assert_eq!(model.card.metrics.probe, measured(&config.held_out()).probe);
+    let seen = measured(&Noise::new(config.seed));
+    assert_ne!(model.card.metrics.probe, seen.probe);
+    assert_ne!(model.card.metrics.rollout, seen.rollout);
+}
+
+#[test]
 fn a_run_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
     let (whole, broken) = (dir.path().join("whole"), dir.path().join("broken"));
@@ -99,7 +116,6 @@ fn another_configuration_does_not_go_on_with_the_run() {
 #[cfg(feature = "ndarray")]
 #[test]
 fn both_backends_fit_the_same_encoder() {
-    use crpl_sitl::Scenario;
     use nalgebra::Vector2;
 
     let dir = tempfile::tempdir().unwrap();

@@ -1,6 +1,5 @@
 //! The golden vectors are what the independent reference in Python makes of the paper: CI compares them.
 
-
 use tests::python;
 
 /// The files that `tests/python/reference/generate.py` makes.

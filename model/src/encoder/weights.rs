@@ -245,6 +245,13 @@ impl Weights {
         let layers = convs.iter_mut().chain([fc, head_c, head_u]);
         colour.chain(layers.flat_map(|l| [l.w.as_mut_slice(), l.b.as_mut_slice()])).collect()
     }
+
+    /// One step of a target encoder after the online one: φ_tar ← τ φ_tar + (1-τ) φ
+    pub fn follow(&mut self, online: &Self, tau: f32) {
+        for (target, online) in self.parts_mut().into_iter().zip(online.parts()) {
+            target.iter_mut().zip(online).for_each(|(t, o)| *t = tau * *t + (1.0 - tau) * o);
+        }
+    }
 }
 
 impl Stored for Weights {
@@ -383,6 +390,17 @@ mod tests {
         let sides: Vec<_> = CONVS.iter().map(|c| c.grid_out).collect();
         assert_eq!(sides, [26, 14, 8, 5]);
         assert_eq!(CONVS[3].outputs * CONVS[3].grid_out.pow(2), POOLED);
+    }
+
+    #[test]
+    fn a_target_keeps_tau_of_itself() {
+        let input = Input { scale: [1.0; 3], colour: None, whole_mass: [1.0; 3] };
+        let mut target = Weights::structured_init(input, 0.0, false, &Noise::new(1));
+        let mut online = target.clone();
+        target.parts_mut().into_iter().for_each(|part| part.fill(1.0));
+        online.parts_mut().into_iter().for_each(|part| part.fill(3.0));
+        target.follow(&online, 0.75);
+        assert!(target.parts().into_iter().flatten().all(|t| *t == 0.75 * 1.0 + 0.25 * 3.0));
     }
 
     #[test]

@@ -146,6 +146,29 @@ mod tests {
     }
 
     #[test]
+    fn the_first_steps_are_as_long_as_the_rate_whatever_the_gradients_size() {
+        // With both biases corrected, moments of a constant gradient g are g and g² from the first step on.
+        for (size, betas) in [1e-3, 1.0, 1e3].into_iter().flat_map(|s| [(s, Betas::SLOW), (s, Betas::FAST)]) {
+            let (mut w, mut adam) = ([0.0f32, 0.0], Adam::new(2, betas, 0.0));
+            for n in 1..=3 {
+                adam.step(&mut w, &[size, -size], 1.0, 0.01);
+                let far = 0.01 * n as f32;
+                assert!((w[0] + far).abs() < 1e-5 && (w[1] - far).abs() < 1e-5, "step {n}, {size}: {w:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_change_of_sign_moves_as_the_formula_has_it() {
+        let (mut w, mut adam) = ([0.0f32], Adam::new(1, Betas::SLOW, 0.0));
+        adam.step(&mut w, &[1.0], 1.0, 0.1);
+        adam.step(&mut w, &[-3.0], 1.0, 0.1);
+        // m = 0.9 0.1 - 0.3, v = 0.999 0.001 + 0.009; over 1 - 0.9², 1 - 0.999².
+        let (m, v): (f64, f64) = (-0.21 / 0.19, 0.009_999 / 0.001_999);
+        assert!((f64::from(w[0]) - (-0.1 - 0.1 * m / v.sqrt())).abs() < 1e-5, "{w:?}");
+    }
+
+    #[test]
     fn a_gradient_that_is_not_finite_changes_nothing() {
         let mut net = Mlp::zeros(&[1, 1]);
         let mut gradient = net.clone();

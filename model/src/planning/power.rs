@@ -136,3 +136,97 @@ fn power_backward(net: &Mlp, pass: &PowerPass, d_outage: f32, d_spent: f32) -> M
     }
     lanes::weight_gradient(net, [(&pass.x, &d1), (&pass.h1, &d2), (&pass.h2, &d3)])
 }
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::world::noise::{Noise, Stream};
+    use rand::{Rng, RngExt};
+
+    use crpl_sitl::scenario::Cost;
+
+    use super::*;
+
+    /// λ_p is felt beside the barrier.
+    fn objective(outage_tolerance: f64) -> Objective {
+        Objective { cost: Cost { power: 1e-3, ..Cost::default() }, outage_tolerance, ..Objective::default() }
+    }
+
+    fn generator(index: u64) -> impl Rng {
+        Noise::new(7).generator(Stream::Weights, index)
+    }
+
+    /// Powers that depend on the features.
+    fn policies() -> Policies {
+        let mut policies = Policies::untrained(&mut generator(0));
+        policies.power.layers[2].w.iter_mut().for_each(|w| *w *= 100.0);
+        policies
+    }
+
+    /// Two blocks of 8 intervals, on both sides of γ_min.
+    fn blocks() -> Vec<Vec<Sample>> {
+        let mut rng = generator(1);
+        let mut lane = |low: f32, high: f32| -> Lane { std::array::from_fn(|_| rng.random_range(low..high)) };
+        let mut sample = || (std::array::from_fn(|_| lane(-1.0, 1.0)), lane(0.1, 1.5));
+        (0..2).map(|_| (0..8).map(|_| sample()).collect()).collect()
+    }
+
+    fn weights(net: &Mlp) -> impl Iterator<Item = &f32> {
+        net.layers.iter().flat_map(|l| l.w.iter().chain(&l.b))
+    }
+
+    /// `net` moved by `h` times `direction`.
+    fn moved(net: &Mlp, h: f32, direction: &[f32]) -> Mlp {
+        let mut net = net.clone();
+        let weights = net.layers.iter_mut().flat_map(|l| l.w.iter_mut().chain(&mut l.b));
+        weights.zip(direction).for_each(|(w, d)| *w += h * d);
+        net
+    }
+
+    /// Stage 2's gradient along random directions against differences, at a P_comm of about 0.7.
+    fn assert_gradient(outage_tolerance: f64, is_feasible: bool) {
+        let (o, net, blocks) = (objective(outage_tolerance), policies().power, blocks());
+        let batch: Vec<&[Sample]> = blocks.iter().map(Vec::as_slice).collect();
+        let (w, eps) = objective::barrier_weight(4.0, o.barrier_residual);
+        let (at, grad) = power_gradient(&o, w, eps, &net, &batch);
+        assert_eq!(at.p_comm - 1.0 + outage_tolerance > eps, is_feasible, "{at:?}");
+        for n in 2..6 {
+            let mut rng = generator(n);
+            let direction: Vec<f32> = weights(&net).map(|_| rng.random_range(-1.0..1.0)).collect();
+            let by_hand: f64 =
+                weights(&grad).zip(&direction).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
+            let h = 1e-3;
+            let [up, down] =
+                [h, -h].map(|h| power_gradient(&o, w, eps, &moved(&net, h, &direction), &batch).0.j);
+            let by_differences = (up - down) / (2.0 * f64::from(h));
+            let error = (by_hand - by_differences).abs() / by_differences.abs().max(1e-2);
+            assert!(error < 0.02, "direction {n}: {by_hand} by hand, {by_differences} by differences");
+        }
+    }
+
+    #[test]
+    fn the_gradient_agrees_with_differences() {
+        assert_gradient(0.9, true);
+    }
+
+    #[test]
+    fn the_gradient_of_an_infeasible_start_agrees_with_differences() {
+        assert_gradient(0.01, false);
+    }
+
+    #[test]
+    fn the_objective_is_power_squared_and_the_barrier_of_its_own_tolerance() {
+        let (mut o, mut net) = (objective(0.9), policies().power);
+        o.collision_tolerance = 0.2;
+        // High power everywhere.
+        (net.layers[2].w, net.layers[2].b) = (vec![0.0; 2 * HIDDEN], vec![-100.0, 100.0]);
+        let blocks = blocks();
+        let batch: Vec<&[Sample]> = blocks.iter().map(Vec::as_slice).collect();
+        let (at, _) = power_gradient(&o, 0.5, 0.01, &net, &batch);
+        assert!((at.cost - 1e-3 * 8.0 * 16.0).abs() < 1e-9, "{at:?}");
+        let barrier = -0.5 * (at.p_comm - 1.0 + 0.9).ln();
+        assert!((at.j - at.cost - barrier).abs() < 1e-9, "{at:?}");
+        let policies = Policies { power: net, ..policies() };
+        let (p_comm, power) = executed_power(&o, &policies, &blocks);
+        assert!((p_comm - at.p_comm).abs() < 1e-5 && power == 4.0, "{p_comm}, {power}, {at:?}");
+    }
+}

@@ -105,7 +105,7 @@ pub fn train(
         if !value.is_finite() || !state.descend(&online, &psi, &gradients, clip_and_rate) {
             return Err(GradientError::Diverged(state.step));
         }
-        follow(&mut state.target, &state.online, stage.momentum as f32);
+        state.target.follow(&state.online, stage.momentum as f32);
 
         state.step += 1;
         bar.set_position(state.step as u64);
@@ -139,13 +139,6 @@ fn learning_rate(stage: &Gradient, step: usize) -> f32 {
     let warm = ((step + 1) as f64 / stage.warm_up.max(1) as f64).min(1.0);
     let phase = std::f64::consts::PI * step as f64 / stage.steps as f64;
     (stage.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1.0 + phase.cos()))) as f32
-}
-
-/// φ_tar ← τ φ_tar + (1-τ) φ
-fn follow(target: &mut Weights, online: &Weights, tau: f32) {
-    for (target, online) in target.parts_mut().into_iter().zip(online.parts()) {
-        target.iter_mut().zip(online).for_each(|(t, o)| *t = tau * *t + (1.0 - tau) * o);
-    }
 }
 
 /// One step's frames: the first frames of all triples (long, then short), the second, the third.

@@ -153,16 +153,15 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
     // Measured on fresh frames, and looked at for what a loss does not show.
     let mut model = assemble(&context, encoder, predictor, probe, heads);
     model.card.backend = run.backend.name().into();
-    let held_out = Noise::new(config.seed ^ HELD_OUT);
     model.card.metrics = evaluation::measure(
         &model,
         &config.evaluation,
         &config.heads,
         &scenario,
-        &held_out,
+        &config.held_out(),
         check.unwrap_or_default(),
     );
-    let diagnostics = look_at(&model, &context, &held_out, check);
+    let diagnostics = look_at(&model, &context, check);
     let alarms = diagnostics.alarms(&config.alarms);
 
     // Only a model without alarms takes the checkpoint's place.
@@ -234,15 +233,12 @@ pub fn without_heads(
         floor: 1.0,
     };
     let model = assemble(&context, encoder, predictor, probe, none);
-    let diagnostics = look_at(&model, &context, &Noise::new(config.seed ^ HELD_OUT), check);
+    let diagnostics = look_at(&model, &context, check);
     Ok((model, diagnostics))
 }
 
 /// File of the stage with the risk and channel heads.
 const HEADS: &str = "heads.safetensors";
-
-/// Turns the seed of training into that of evaluation.
-const HELD_OUT: u64 = 0x6865_6c64_6f75_7421;
 
 fn planes(noise: &Noise) -> Planes {
     [weights::random_plane(noise, 1), weights::random_plane(noise, 2)]
@@ -352,12 +348,8 @@ fn assemble(
 }
 
 /// The diagnostics, through the cameras of the training.
-fn look_at(
-    model: &WorldModel,
-    context: &TrainContext<'_>,
-    noise: &Noise,
-    check: Option<FitCheck>,
-) -> Diagnostics {
+fn look_at(model: &WorldModel, context: &TrainContext<'_>, check: Option<FitCheck>) -> Diagnostics {
+    let noise = &context.config.held_out();
     let evaluation = &context.config.evaluation;
     let sizes = [evaluation.frames, evaluation.rollouts, evaluation.horizon];
     let cameras = CameraSet::new(&context.config.cameras, noise);

@@ -9,6 +9,7 @@ use crate::heads::labels::HeadsConfig;
 use crate::predictor::{NetworksConfig, PredictorKind};
 use crate::world_model::stages::{Layers, Stages};
 use crpl_sitl::camera::effects::Effects;
+use crpl_sitl::world::noise::Noise;
 
 /// Everything that decides the bytes of a checkpoint. `Default` is the shipped recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -264,6 +265,14 @@ impl TrainConfig {
         Ok(config)
     }
 
+    /// The chance of the frames on which a model is measured: of another seed than its training's.
+    #[must_use]
+    pub fn held_out(&self) -> Noise {
+        /// Turns the seed of training into that of evaluation.
+        const HELD_OUT: u64 = 0x6865_6c64_6f75_7421;
+        Noise::new(self.seed ^ HELD_OUT)
+    }
+
     /// Reads a TOML file; keys that it leaves out keep their defaults.
     ///
     /// # Errors
@@ -439,3 +448,22 @@ impl TrainConfig {
 }
 
 const POSITIVE: &str = "must be finite and above 0";
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::world::noise::Stream;
+    use rand::RngExt;
+
+    use super::*;
+
+    #[test]
+    fn what_a_model_is_measured_on_is_not_what_training_drew() {
+        let first = |noise: Noise, stream| noise.generator(stream, 0).random::<u64>();
+        for (seed, stream) in
+            (0..100).flat_map(|seed| [Stream::Data, Stream::Evaluation, Stream::Camera].map(|s| (seed, s)))
+        {
+            let config = TrainConfig { seed, ..TrainConfig::default() };
+            assert_ne!(first(config.held_out(), stream), first(Noise::new(seed), stream), "seed {seed}");
+        }
+    }
+}

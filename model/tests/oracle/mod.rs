@@ -6,7 +6,6 @@ use crpl_model::heads::networks::SightLine;
 use crpl_model::numeric::kernel::LANES;
 use crpl_model::numeric::mlp::Mlp;
 use crpl_model::planning::head::Head;
-use crpl_model::planning::objective;
 use crpl_model::planning::plant::{Draws, Objective, Plant, RolloutLimits};
 use crpl_model::predictor::Predictor;
 use crpl_model::predictor::linear::PlaneLinear;
@@ -92,9 +91,11 @@ pub fn draws(blocks: usize, horizon: usize, rng: &mut ChaCha8Rng) -> Vec<Draws> 
 
 /// The same objective written in burn's tensors, differentiated by burn: the oracle of the
 /// hand-written reverse mode, straight-through actions included.
+#[cfg(feature = "train")]
 pub mod by_autodiff {
     use burn::tensor::activation::{sigmoid, softmax, tanh};
     use burn::tensor::{Device, Tensor, TensorData};
+    use crpl_model::planning::objective;
 
     use super::*;
 

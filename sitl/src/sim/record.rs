@@ -74,3 +74,59 @@ impl Record {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::Sim;
+    use crate::world::safety;
+
+    /// A UAV that flies towards an obstacle which comes: each tick has a risk of its own.
+    fn flight() -> (Scenario, Vec<(Telemetry, Command, Telemetry)>) {
+        let text =
+            "[[obstacle]]\nposition = [0.3, 0.5]\nvelocity = [-0.004, 0.001]\n[radio]\nrule = \"ideal\"\n";
+        let scenario = Scenario::from_toml(text).unwrap();
+        let east = scenario.scale.ned_from_paper_acceleration([scenario.dynamics.a_max, 0.0].into());
+        let mut sim = Sim::new(scenario.clone(), 1);
+        let mut interval = || {
+            let (before, command) = (sim.telemetry(), Command::new(sim.tick(), east, TxPower::High));
+            sim.handle(command);
+            sim.advance();
+            (before, command, sim.telemetry())
+        };
+        let intervals = (0..8).map(|_| interval()).collect();
+        (scenario, intervals)
+    }
+
+    #[test]
+    fn the_risk_of_interval_k_is_that_at_its_end() {
+        let (scenario, flight) = flight();
+        let risk = |report: &Telemetry| {
+            let (uav, at) =
+                (scenario.scale.paper_from_ned(report.position), report.obstacles(&scenario.scale));
+            let clearance = (uav - at[0]).norm() - scenario.obstacles[0].radius - scenario.uav_radius;
+            safety::collision_probability(clearance, scenario.safety.d_min, scenario.safety.softness)
+        };
+        for (k, (before, command, after)) in flight.iter().enumerate() {
+            let record = Record::new(before, command, after, &scenario);
+            assert!((record.p_coll - risk(after)).abs() < 1e-12, "{k}: {record:?}");
+            assert!(risk(before) < record.p_coll, "{k}: no risk of its own");
+        }
+    }
+
+    #[test]
+    fn a_record_is_of_the_interval_between_its_reports() {
+        let (scenario, flight) = flight();
+        let records: Vec<_> = flight
+            .iter()
+            .map(|(before, command, after)| Record::new(before, command, after, &scenario))
+            .collect();
+        for (k, pair) in records.windows(2).enumerate() {
+            assert_eq!((pair[0].r_next, pair[0].v_next), (pair[1].r, pair[1].v), "{k}");
+            assert_eq!((pair[0].tick.0, pair[0].flown_tick), (k as u64, Some(Tick(k as u64))));
+            assert_ne!(pair[0].obstacles, pair[1].obstacles);
+            let moved = pair[1].r_next - pair[1].r;
+            assert!((moved - pair[1].v_next).norm() < 1e-6, "{k}: not by its new speed: {moved}");
+        }
+    }
+}

@@ -72,3 +72,6 @@ impl World {
         self.obstacles().clearance(self.uav.r, scenario)
     }
 }
+
+#[cfg(test)]
+mod tests;
