@@ -83,7 +83,7 @@ fn three_shares_merged_are_one_run() {
     let other = other.to_str().unwrap();
     assert_eq!(
         merge(&[one, other, three]),
-        format!("error: {one} and {other} are of different sweeps: first_seed = 100000 and 5")
+        format!("error: {one} and {other} are of different sweeps: first_seed = 300000 and 5")
     );
     std::fs::rename(shards[1].join("episodes.csv"), shards[1].join("episodes.part.csv")).unwrap();
     assert_eq!(merge(&[one, two, three]), format!("error: {two} is not finished: fly its shard 2/3 again"));
@@ -179,7 +179,7 @@ fn a_folder_of_another_sweep_is_not_touched() {
     let refused = sweep(dir.path(), &["--first-seed", "1"]);
     assert!(!refused.status.success());
     let error = refused.stderr;
-    assert!(error.contains("holds another sweep: first_seed = 1 and 100000 there"), "{error}");
+    assert!(error.contains("holds another sweep: first_seed = 1 and 300000 there"), "{error}");
     assert!(bytes(dir.path()) == before);
 }
 

@@ -29,7 +29,7 @@ const SCENARIOS: [&str; 2] = ["1-ideal", "2-ideal"];
 pub const GUSTY: u64 = 200;
 
 /// Their σ_c and first seed.
-const GUSTS: (f64, u64) = (0.005, 100_000);
+const GUSTS: (f64, u64) = (0.005, 300_000);
 
 /// One controller's flight, and what its records say.
 #[derive(Debug, Clone)]

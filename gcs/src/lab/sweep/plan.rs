@@ -84,7 +84,7 @@ fn default_episodes() -> u64 {
 
 /// Nothing was chosen, tuned or trained by a look at flights with seeds from here on.
 fn default_first_seed() -> u64 {
-    100_000
+    300_000
 }
 
 /// What flags put in place of a file's values.

@@ -3,6 +3,7 @@
 use crpl_sitl::Scenario;
 use crpl_sitl::world::dynamics::{State, limit_speed};
 use crpl_sitl::world::obstacles::Obstacles;
+use multiversion::multiversion;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
@@ -81,10 +82,10 @@ impl Solution {
 }
 
 /// Which times are kept: all near the end, and ever fewer before it, where what a state costs more than another
-/// hardly changes; every second one where obstacles move.
+/// hardly changes; every third one where obstacles move.
 fn is_kept(to_go: u64, moves: bool) -> bool {
     const KEPT: [u64; 8] = [1, 2, 4, 8, 16, 28, 40, 60];
-    if moves { to_go.is_multiple_of(2) || to_go <= 4 } else { KEPT.contains(&to_go) }
+    if moves { to_go.is_multiple_of(3) || to_go <= 3 } else { KEPT.contains(&to_go) }
 }
 
 /// What every step of the induction needs.
@@ -181,18 +182,26 @@ impl<'a> Solver<'a> {
             };
             let sources = [(&coast, none), (&west, none), (&east, none), (&coast, back), (&coast, on)];
             ways.iter_mut().zip(sources).for_each(|(way, (from, rows))| across(way, from, rows));
-            for (i, out) in out.iter_mut().enumerate() {
-                let (cost, connected) = departure[i];
-                let least = ways[1..].iter().map(|way| way[i]).fold(f32::INFINITY, f32::min);
-                *out = cost + if connected { ways[0][i].min(effort + least) } else { ways[0][i] };
-            }
+            least(ways, effort, departure, out);
         });
         values
     }
 }
 
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
 fn add(to: &mut [f32], weight: f32, from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(t, f)| *t += weight * f);
+}
+
+/// The least of coasting and of the other ways with their effort, where a command gets through.
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
+fn least(ways: &[Vec<f32>], effort: f32, departure: &[(f32, bool)], out: &mut [f32]) {
+    let [coast, a, b, c, d] = ways else { return };
+    for (i, out) in out.iter_mut().enumerate() {
+        let (cost, connected) = departure[i];
+        let pushed = effort + a[i].min(b[i]).min(c[i]).min(d[i]);
+        *out = cost + if connected { coast[i].min(pushed) } else { coast[i] };
+    }
 }
 
 /// Standard deviations to which a gust's bell is followed, and points in it.
@@ -215,6 +224,7 @@ fn blown(axis: &Axis, v: f64, gust: f64) -> Row {
 }
 
 /// A plane seen from `by` units further in x.
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
 fn shift_along(from: &[f32], axis: &Axis, by: f64, to: &mut [f32]) {
     let places = axis.len();
     let all: Vec<Taps> = axis.nodes().iter().map(|x| axis.taps(x + by)).collect();
@@ -226,6 +236,7 @@ fn shift_along(from: &[f32], axis: &Axis, by: f64, to: &mut [f32]) {
 }
 
 /// A plane seen from `by` units further in y.
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512bw+avx512dq", "x86_64+avx2+fma"))]
 fn shift_across(from: &[f32], axis: &Axis, by: f64, to: &mut [f32]) {
     let places = axis.len();
     for (y, out) in axis.nodes().iter().zip(to.chunks_exact_mut(places)) {
