@@ -70,7 +70,9 @@ struct Bounds {
 struct BoundRow {
     controller: Controller,
     j: Mean,
-    /// J less APC's on the same seeds.
+    /// J and the terminal cost.
+    j_t: Mean,
+    /// That less APC's on the same seeds.
     more: Mean,
     d_f: Mean,
     risk: Mean,
@@ -104,7 +106,7 @@ pub fn run(args: &Bound) -> Result<()> {
         flown.push((controller, scores));
     }
     bar.finish_and_clear();
-    let oracle: Vec<f64> = flown[0].1.iter().map(|s| s[Metric::StageCost]).collect();
+    let oracle: Vec<f64> = flown[0].1.iter().map(|s| s[Metric::SettledCost]).collect();
     let rows =
         flown.iter().map(|(controller, scores)| row(*controller, scores, &oracle, &scenario)).collect();
     let bounds = Bounds {
@@ -150,9 +152,9 @@ fn fly(
 
 fn row(controller: Controller, scores: &[FlightScore], oracle: &[f64], scenario: &Scenario) -> BoundRow {
     let values = |m: Metric| scores.iter().map(|s| s[m]).collect::<Vec<_>>();
-    let (j, risk, out) =
-        (values(Metric::StageCost), values(Metric::CollisionProbability), values(Metric::Outages));
-    let more: Vec<f64> = j.iter().zip(oracle).map(|(j, best)| j - best).collect();
+    let (risk, out) = (values(Metric::CollisionProbability), values(Metric::Outages));
+    let j_t = values(Metric::SettledCost);
+    let more: Vec<f64> = j_t.iter().zip(oracle).map(|(j, best)| j - best).collect();
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
     let collided =
         scores.iter().filter(|s| s[Metric::Collisions] > 0.0).count() as f64 / scores.len().max(1) as f64;
@@ -162,7 +164,8 @@ fn row(controller: Controller, scores: &[FlightScore], oracle: &[f64], scenario:
         && mean(&out) / scenario.horizon as f64 <= safety.outage_tolerance;
     BoundRow {
         controller,
-        j: Mean::of(&j),
+        j: Mean::of(&values(Metric::StageCost)),
+        j_t: Mean::of(&j_t),
         more: Mean::of(&more),
         d_f: Mean::of(&values(Metric::TerminalDistance)),
         risk: Mean::of(&risk),
@@ -197,16 +200,18 @@ fn text(b: &Bounds) -> String {
     );
     let _ = writeln!(
         out,
-        "{:<20}{:>8} {:<18}{:>8} {:<19}{:>8}{:>8}  constraints",
-        "controller", "J", "[95 %]", "less APC", "[95 %]", "d_f", "p_coll"
+        "{:<12}{:>8} {:<17}{:>8} {:<17}{:>9} {:<19}{:>8}{:>8}  constraints",
+        "controller", "J", "[95 %]", "J_T", "[95 %]", "less APC", "[95 %]", "d_f", "p_coll"
     );
     for row in &b.rows {
         let _ = writeln!(
             out,
-            "{:<20}{:>8.4} {:<18}{:>8.4} {:<19}{:>8.4}{:>8.4}  {}",
+            "{:<12}{:>8.4} {:<17}{:>8.4} {:<17}{:>9.4} {:<19}{:>8.4}{:>8.4}  {}",
             row.controller.to_string(),
             row.j.mean,
             ci(row.j.ci),
+            row.j_t.mean,
+            ci(row.j_t.ci),
             row.more.mean,
             ci(row.more.ci),
             row.d_f.mean,

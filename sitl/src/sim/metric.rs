@@ -30,6 +30,8 @@ pub enum Metric {
     /// J = Σ ℓ_k, the stage cost of Eq. (9) on true states, with the scenario's weights: what every controller is
     /// compared by. Ours to print; the paper optimises it in latents.
     StageCost,
+    /// J_T: J and the terminal cost of the last intervals, which CRPL and APC optimise. Ours.
+    SettledCost,
     /// First interval from which on it stays in the goal region to the end; the flight's length if it does not
     /// end there. Ours.
     TimeToGoal,
@@ -87,13 +89,14 @@ const EVENTS: About =
 
 impl Metric {
     /// All of them, in the order of every table and figure.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::TerminalDistance,
         Self::TransmitEnergy,
         Self::PropulsionEnergy,
         Self::CollisionProbability,
         Self::Outages,
         Self::StageCost,
+        Self::SettledCost,
         Self::TimeToGoal,
         Self::Overshoot,
         Self::OutageEpisodes,
@@ -128,6 +131,12 @@ impl Metric {
             Self::CollisionProbability => records.iter().map(|r| r.p_coll).fold(0.0, f64::max),
             Self::Outages => records.iter().filter(|r| r.outage).count() as f64,
             Self::StageCost => records.iter().map(|r| scenario.stage_cost(r.r_next, r.flown, r.power)).sum(),
+            Self::SettledCost => {
+                let last = scenario.horizon.saturating_sub(scenario.cost.settle_intervals);
+                let settling = records.iter().filter(|r| r.tick.0 >= last);
+                let missed: f64 = settling.map(|r| (r.r_next - scenario.goal).norm_squared()).sum();
+                Self::StageCost.of(records, scenario) + scenario.cost.settle * missed
+            }
             Self::TimeToGoal => {
                 let inside = |r: &&Record| (r.r_next - scenario.goal).norm() <= scenario.goal_radius;
                 let stayed = records.iter().rev().take_while(inside).count();
@@ -196,6 +205,14 @@ impl Metric {
                 symbol: "J",
                 title: "sum of the stage cost",
                 head: "J",
+                is_of_paper: false,
+                ..ABOUT
+            },
+            Self::SettledCost => About {
+                key: "j_t",
+                symbol: "J_T",
+                title: "J and the terminal cost",
+                head: "J_T",
                 is_of_paper: false,
                 ..ABOUT
             },
