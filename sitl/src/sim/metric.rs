@@ -501,6 +501,42 @@ mod tests {
     }
 
     #[test]
+    fn cost_arrival_and_overshoot_are_told_from_the_places() {
+        let mut sim = crate::Sim::new(Scenario::default(), 0);
+        let before = sim.telemetry();
+        sim.advance();
+        let command = crate::radio::message::Command::new(before.tick, [0.0; 2], crate::units::TxPower::Low);
+        let record = Record::new(&before, &command, &sim.telemetry(), sim.scenario());
+        let mut scenario = Scenario::default();
+        (scenario.horizon, scenario.cost.settle_intervals) = (5, 2);
+        // In, out on the far side, in, in, in; the link is lost twice.
+        let xs = [0.88, 0.96, 0.94, 0.92, 0.9];
+        let records: Vec<Record> = (xs.iter().zip(0..))
+            .map(|(x, n)| Record {
+                tick: crate::units::Tick(n),
+                r_next: [*x, 0.5].into(),
+                flown: [f64::from(u8::from(n == 0)), 0.0].into(),
+                outage: n == 0 || n == 2 || n == 3,
+                ..record.clone()
+            })
+            .collect();
+        let score = FlightScore::of(&records, &scenario).unwrap();
+        let close =
+            |metric: Metric, want: f64| assert!((score[metric] - want).abs() < 1e-12, "{}", metric.key());
+        let missed = |xs: &[f64]| xs.iter().map(|x| (x - 0.9f64).powi(2)).sum::<f64>();
+        let j = 0.05 * missed(&xs) + 1e-4 + 5.0 * 1e-5;
+        close(Metric::StageCost, j);
+        close(Metric::SettledCost, j + 5.0 * missed(&xs[3..]));
+        close(Metric::TimeToGoal, 3.0);
+        close(Metric::Overshoot, 0.06);
+        close(Metric::OutageEpisodes, 2.0);
+        let away: Vec<Record> =
+            records[..2].iter().map(|r| Record { r_next: [0.2, 0.5].into(), ..r.clone() }).collect();
+        let score = FlightScore::of(&away, &scenario).unwrap();
+        assert_eq!([score[Metric::TimeToGoal], score[Metric::Overshoot]], [2.0, 0.0]);
+    }
+
+    #[test]
     fn the_papers_metrics_are_its_five_in_its_order() {
         let keys: Vec<_> = Metric::of_paper().map(Metric::key).collect();
         assert_eq!(keys, ["d_f", "e_comm", "e_ctrl", "p_coll_max", "t_out"]);
