@@ -27,8 +27,12 @@ fn slope_by_differences(
 ) -> (f64, f64, ObjectiveEstimate) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut plant = plant(limits, &mut rng);
-    // Near enough to be felt.
-    plant.edge = (seed % 2 == 1).then_some(Edge { margin: 0.8, softness: 0.7 });
+    if seed % 2 == 1 {
+        // Near enough to be felt; one side alone, for between two the nearest has a kink.
+        plant.edge = Some(Edge { margin: 0.8, softness: 0.7 });
+        plant.corners[0] = [-9.0, -30.0];
+        plant.corners[1][1] = 30.0;
+    }
     let mut draws = draws(2, 20, &mut rng);
     // Beside the first, and on their way elsewhere.
     for n in 1..obstacles as u8 {

@@ -50,7 +50,7 @@ pub struct Bound {
 
 /// The bounds of a scenario, and who comes near.
 #[derive(Debug, Serialize)]
-struct Bounds {
+struct BoundReport {
     scenario: String,
     episodes: u64,
     first_seed: u64,
@@ -109,7 +109,7 @@ pub fn run(args: &Bound) -> Result<()> {
     let oracle: Vec<f64> = flown[0].1.iter().map(|s| s[Metric::SettledCost]).collect();
     let rows =
         flown.iter().map(|(controller, scores)| row(*controller, scores, &oracle, &scenario)).collect();
-    let bounds = Bounds {
+    let bounds = BoundReport {
         scenario: scenario.name.clone(),
         episodes: args.episodes,
         first_seed: args.first_seed,
@@ -189,7 +189,7 @@ fn decision(apc: &Apc, scenario: &Scenario) -> f64 {
     quantile(&times, 0.5)
 }
 
-fn text(b: &Bounds) -> String {
+fn text(b: &BoundReport) -> String {
     use std::fmt::Write;
     let ci = |ci: Interval| format!("[{:.4}, {:.4}]", ci[0], ci[1]);
     let mut out = format!(

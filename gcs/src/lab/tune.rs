@@ -65,12 +65,12 @@ struct Tried {
     /// Whether it keeps its controller's constraint in every world.
     holds: bool,
     /// Of each world.
-    worlds: Vec<Measured>,
+    worlds: Vec<LawInWorld>,
 }
 
 /// A law in one world.
 #[derive(Debug, Clone, Copy, Serialize)]
-struct Measured {
+struct LawInWorld {
     d_f: Mean,
     risk: Mean,
     t_out: Mean,
@@ -102,7 +102,7 @@ fn fly(law: &Law, scenario: &Scenario, seed: u64) -> Option<FlightScore> {
     FlightScore::of(&records, scenario)
 }
 
-fn measure(law: &Law, scenario: &Scenario, first_seed: u64, flights: u64) -> Measured {
+fn measure(law: &Law, scenario: &Scenario, first_seed: u64, flights: u64) -> LawInWorld {
     let scores: Vec<FlightScore> = (first_seed..first_seed + flights)
         .into_par_iter()
         .filter_map(|seed| fly(law, scenario, seed))
@@ -111,7 +111,7 @@ fn measure(law: &Law, scenario: &Scenario, first_seed: u64, flights: u64) -> Mea
     let share = |is: &dyn Fn(&FlightScore) -> bool| {
         scores.iter().filter(|s| is(s)).count() as f64 / scores.len().max(1) as f64
     };
-    Measured {
+    LawInWorld {
         d_f: mean(Metric::TerminalDistance),
         risk: mean(Metric::CollisionProbability),
         t_out: mean(Metric::Outages),
@@ -133,10 +133,10 @@ struct Search {
 impl Search {
     /// Flies `law` in every world; d_f is compared with `base`.
     fn fly(&self, law: &Law, flights: u64, base: Option<&Tried>) -> Tried {
-        let worlds: Vec<Measured> =
+        let worlds: Vec<LawInWorld> =
             self.worlds.iter().map(|world| measure(law, world, self.first_seed, flights)).collect();
         let ratio =
-            |(n, world): (usize, &Measured)| world.d_f.mean / base.map_or(1.0, |b| b.worlds[n].d_f.mean);
+            |(n, world): (usize, &LawInWorld)| world.d_f.mean / base.map_or(1.0, |b| b.worlds[n].d_f.mean);
         let aim = worlds.iter().enumerate().map(ratio).sum::<f64>() / worlds.len().max(1) as f64;
         let holds = worlds.iter().zip(&self.worlds).all(|(world, scenario)| {
             let delta = scenario.safety.collision_tolerance;

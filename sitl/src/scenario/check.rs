@@ -339,7 +339,7 @@ mod tests {
         let default = Scenario::default();
         let rows = default.lengths().into_iter().chain(default.others());
         let rows: Vec<Row> = rows
-            .filter(|(key, ..)| !["horizon", "observer.window"].contains(key))
+            .filter(|(key, ..)| !["horizon", "observer.window", "cost.settle_intervals"].contains(key))
             .chain([("obstacle[0].radius", 0.1, 1e-3, 1.0), ("obstacle[0].margin", 0.12, 0.0, 0.5)])
             .chain([("obstacle[0].velocity[0]", 0.0, 0.0, 0.5), ("obstacle[0].position[1]", 0.5, 0.0, 1.0)])
             .collect();

@@ -6,7 +6,7 @@
 //! solves it once for a scenario, [`decide`](Apc::decide) looks one interval ahead from the exact state into the
 //! value function (all of it our choice; docs/controllers.md).
 
-pub mod grid;
+pub mod lattice;
 pub mod stage;
 pub mod value;
 

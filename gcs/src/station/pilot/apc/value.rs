@@ -7,7 +7,7 @@ use multiversion::multiversion;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use super::grid::{Axis, Grid, Taps, between};
+use super::lattice::{Axis, Lattice, Taps, between};
 use super::stage::{self, Constraints, Stage};
 
 /// Sizes of the solution. `Default` as argued in docs/controllers.md.
@@ -37,7 +37,7 @@ struct Snapshot {
 /// The value function: what the rest of a flight costs, from any state at any time.
 #[derive(Debug, Clone)]
 pub struct Solution {
-    grid: Grid,
+    grid: Lattice,
     /// By intervals to go, ascending; the first is 0.
     snapshots: Vec<Snapshot>,
     /// Value of the scenario's start at time 0.
@@ -92,7 +92,7 @@ fn is_kept(to_go: u64, moves: bool) -> bool {
 struct Solver<'a> {
     scenario: &'a Scenario,
     stage: Stage<'a>,
-    grid: Grid,
+    grid: Lattice,
     /// Velocities before the speed limit.
     free: Axis,
     /// Mean over gusts along an axis, by the push: back, none, on. One row a node of the lattice: nodes of `free`,
@@ -107,7 +107,7 @@ impl<'a> Solver<'a> {
     fn new(scenario: &'a Scenario, constraints: Constraints, config: &ValueConfig) -> Self {
         let (push, v_max) = (scenario.dynamics.a_max, scenario.dynamics.v_max);
         let axis = |most: f64| Axis::speeds(push, config.fine, config.dense, most);
-        let grid = Grid { place: Axis::field(config.places), speed: axis(v_max) };
+        let grid = Lattice { place: Axis::field(config.places), speed: axis(v_max) };
         let free = axis(v_max + 2.0 * push);
         let gust = scenario.disturbance.gust_std();
         let rows = |by: f64| grid.speed.nodes().iter().map(|v| blown(&free, v + by * push, gust)).collect();

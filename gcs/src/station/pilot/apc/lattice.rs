@@ -76,14 +76,14 @@ impl Axis {
 
 /// The axes of a lattice: places along both sides of the field, velocities along both of its directions.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Grid {
+pub struct Lattice {
     /// Of a position's coordinate, units.
     pub place: Axis,
     /// Of a velocity's, units per interval.
     pub speed: Axis,
 }
 
-impl Grid {
+impl Lattice {
     /// Position nodes: the values of one velocity node, a plane; rows are y.
     #[must_use]
     pub fn plane(&self) -> usize {
@@ -135,7 +135,7 @@ mod tests {
 
     #[test]
     fn a_cubic_is_itself_between_nodes_dense_and_sparse() {
-        let grid = Grid { place: Axis::field(21), speed: Axis::speeds(0.0035, 4, 3, 0.04) };
+        let grid = Lattice { place: Axis::field(21), speed: Axis::speeds(0.0035, 4, 3, 0.04) };
         assert_eq!(grid.speed.len(), 1 + 2 * (12 + 9));
         let of = |x: f64, y: f64, vx: f64, vy: f64| x * x * x - 2.0 * y + 30.0 * vx * vx + 5.0 * x * vy;
         let mut values = vec![0.0; grid.nodes()];
