@@ -10,10 +10,11 @@ use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::lab::sweep::table::ratio_cell;
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, PolicyOrigin};
 use crate::station::pilot::Controller;
-use crpl_model::numeric::statistics::{Interval, Mean, wilson};
+use crpl_model::numeric::statistics::{Interval, Mean, Resamples, wilson};
 
 /// Flags of `gcs episodes`.
 #[derive(Debug, clap::Args)]
@@ -60,6 +61,9 @@ pub struct EpisodesRow {
     /// Means.
     #[serde(flatten)]
     pub metrics: PerMetric<Mean>,
+    /// Ratios of means to crpl's on the same seeds, if crpl flew before it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ratio_to_crpl: Option<PerMetric<Mean>>,
     /// Share of flights that pass below the obstacle (smaller y at its x).
     pub below: f64,
     /// Where the controller's policies come from.
@@ -77,6 +81,7 @@ pub fn run(args: &Episodes) -> Result<()> {
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let stop = StopSignal::listen()?;
     let bar = progress::bar("flights", args.episodes * args.controller.len() as u64);
+    let mut crpl: Option<Vec<FlightScore>> = None;
     for controller in &args.controller {
         let contender = Contender::new(&models, *controller, &scenario)?;
         let flights: Vec<FlightScore> = (args.first_seed..args.first_seed + args.episodes)
@@ -96,12 +101,23 @@ pub fn run(args: &Episodes) -> Result<()> {
         }
         let row = EpisodesRow {
             policy: contender.policy().cloned(),
+            ratio_to_crpl: crpl.as_deref().and_then(|crpl| ratios(&flights, crpl)),
             ..row(*controller, &scenario, args.first_seed, &flights)
         };
         bar.suspend(|| show(&row, args.json))?;
+        if *controller == Controller::Crpl {
+            crpl = Some(flights);
+        }
     }
     bar.finish_and_clear();
     Ok(())
+}
+
+/// Ratios of means on the same seeds; `None` of flights that are all the same.
+fn ratios(flights: &[FlightScore], crpl: &[FlightScore]) -> Option<PerMetric<Mean>> {
+    let resamples = Resamples::of(flights.len());
+    let values = |flights: &[FlightScore], m: Metric| flights.iter().map(|f| f[m]).collect::<Vec<_>>();
+    PerMetric::try_from_fn(|m| resamples.ratio(&values(flights, m), &values(crpl, m), m.floor()))
 }
 
 fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[FlightScore]) -> EpisodesRow {
@@ -128,6 +144,7 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
         at_wall: count(FlightOutcome::AtWall),
         metrics: PerMetric::from_fn(mean),
         below: share(FlightOutcome::Below),
+        ratio_to_crpl: None,
         policy: None,
     }
 }
@@ -168,6 +185,14 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     );
     for (metric, mean) in row.metrics.iter() {
         println!("  {:<14}{}", metric.symbol(), cell(mean, row.distinct));
+    }
+    if let Some(ratios) = row.ratio_to_crpl.filter(|_| row.distinct > 1) {
+        let cells: Vec<String> =
+            Metric::compared().map(|m| format!("{} {}", m.symbol(), ratio_cell(&ratios[m]))).collect();
+        // Three in a line: 80 columns.
+        for (n, some) in cells.chunks(3).enumerate() {
+            println!("  {:<14}{}", if n == 0 { "over crpl" } else { "" }, some.join(", "));
+        }
     }
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
         let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };
