@@ -219,7 +219,7 @@ impl Metric {
             Self::TimeToGoal => About {
                 key: "t_goal",
                 symbol: "t_goal",
-                title: "interval from which on it stays at the goal",
+                title: "in the goal from interval on",
                 head: "t_goal",
                 flight_decimals: 0,
                 decimals: 1,
