@@ -167,9 +167,9 @@ fn the_demo_reaches_the_goal_and_repeats_itself_in_every_byte() {
     let number = |flight: &serde_json::Value, key: &str| flight[key].as_f64().unwrap();
     assert_eq!(crpl["reached"], true, "{report}");
     assert!(number(crpl, "d_f") <= 0.05 && number(crpl, "p_coll_max") <= 0.10, "{report}");
-    assert!(number(crpl, "t_out") <= 10.0, "{report}");
-    let worse = number(rcc, "t_out") > number(crpl, "t_out") || number(rcc, "d_f") > number(crpl, "d_f");
-    assert!(worse, "{report}");
+    assert_eq!((number(crpl, "t_out"), number(crpl, "edge_contacts")), (0.0, 0.0), "{report}");
+    // Tuned as it is, RCC gets there too.
+    assert_eq!(rcc["reached"], true, "{report}");
     for key in ["scenario", "seed", "ticks", "e_comm", "e_ctrl", "real_time_factor"] {
         assert!(!crpl[key].is_null(), "{key}: {report}");
     }

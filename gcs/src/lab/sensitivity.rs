@@ -1,6 +1,6 @@
 //! `gcs sensitivity`: the paper's claims over the values that it omits.
 //!
-//! Each world is Scenario 2 with other omitted values, inside the ranges of [`OMITTED`]: one at a time at the ends of
+//! Each world is Scenario 2 with other omitted values, inside the ranges of `OMITTED`: one at a time at the ends of
 //! its range, then joint draws. In each, Algorithm 1 makes CRPL's policies anew and RCC and UCC are tuned anew, all
 //! for the world's lowest bandwidth; then they fly Fig. 6's and Fig. 7's hardest points. What comes out is how often
 //! each claim gets each verdict.
