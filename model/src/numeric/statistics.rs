@@ -164,6 +164,47 @@ mod tests {
     }
 
     #[test]
+    fn wilsons_formula_at_small_numbers() {
+        for (hits, n, low, high) in
+            [(3, 4, 0.3006418401, 0.9544127397), (0, 10, 0.0, 0.2775328030), (0, 0, 0.0, 0.7934506882)]
+        {
+            let is = wilson(hits, n);
+            assert!((is[0] - low).abs() < 1e-9 && (is[1] - high).abs() < 1e-9, "{hits} of {n}: {is:?}");
+        }
+    }
+
+    #[test]
+    fn a_quantile_is_the_value_of_the_nearest_rank() {
+        let of = |p| quantile(&[4.0, 1.0, 3.0, 2.0, 5.0], p);
+        assert_eq!([0.0, 0.3, 0.4, 0.5, 1.0].map(of), [1.0, 2.0, 3.0, 3.0, 5.0]);
+        assert!(quantile(&[], 0.5).is_nan());
+        // Of 0 to 399: p ± Z sqrt(p (1 - p) / 400), kept in [0, 1], times 399.
+        let values: Vec<f64> = (0..400).map(f64::from).collect();
+        for (p, interval) in
+            [(0.5, [180.0, 219.0]), (0.9, [347.0, 371.0]), (1e-3, [0.0, 2.0]), (0.999, [397.0, 399.0])]
+        {
+            assert_eq!(of_quantile(&values, p), interval, "{p}");
+        }
+    }
+
+    #[test]
+    fn the_deviation_is_the_samples() {
+        let Mean { mean, sd, .. } = Mean::of(&[1.0, 2.0, 6.0]);
+        assert!((mean - 3.0).abs() < 1e-12 && (sd - 7.0_f64.sqrt()).abs() < 1e-12, "{mean} {sd}");
+        assert!(!Mean::of(&[1.0, 2.0, 6.0]).is_constant());
+    }
+
+    #[test]
+    fn other_numbers_of_values_than_the_resamples_have_no_interval() {
+        let four = Resamples::of(4);
+        let Mean { mean, ci, .. } = four.mean(&[1.0, 3.0]);
+        assert_eq!((mean, ci), (2.0, [2.0, 2.0]));
+        assert!(four.ratio(&[1.0; 3], &[1.0; 4], 1.0).is_none());
+        assert!(four.ratio(&[1.0; 4], &[1.0; 3], 1.0).is_none());
+        assert!(Resamples::of(0).ratio(&[], &[], 1.0).is_none());
+    }
+
+    #[test]
     fn intervals_cover_the_truth_about_as_often_as_they_say() {
         let mut rng = Noise::new(5).generator(Stream::Evaluation, 0);
         let (mut quantiles, mut means) = (0, 0);
@@ -232,6 +273,5 @@ mod tests {
     fn a_small_denominator_is_held_at_its_floor() {
         let ratio = Resamples::of(4).ratio(&[8.0; 4], &[0.0; 4], 1.0).unwrap();
         assert_eq!((ratio.mean, ratio.ci), (8.0, [8.0, 8.0]));
-        assert!(Resamples::of(4).ratio(&[1.0; 3], &[1.0; 4], 1.0).is_none());
     }
 }

@@ -66,4 +66,18 @@ mod tests {
         assert_eq!((y[0][1], y[1][1]), (0.1, 0.2));
         assert_eq!(Area::new([0.0; 2], [[1.0, 1.0], [2.0, 2.0]]), None);
     }
+
+    #[test]
+    fn a_line_beyond_both_edges_of_a_skew_area_comes_back_on_each() {
+        // Edges (3, 1) and (-0.5, 5) from (1, 2).
+        let area = Area::new([1.0, 2.0], [[4.0, 3.0], [0.5, 7.0]]).unwrap();
+        let mut y = [[1.5; LANES], [4.0; LANES]];
+        // 1.25 and -0.4 along the edges: back at 0.75 and 0.4. Then 2.6 and -2.3: at 0.6 and 0.3.
+        (y[0][0], y[1][0]) = (4.95, 1.25);
+        (y[0][1], y[1][1]) = (9.95, -6.9);
+        area.reflect(&mut y);
+        for (l, place) in [[3.05, 4.75], [2.65, 4.1], [1.5, 4.0]].into_iter().enumerate() {
+            assert!((y[0][l] - place[0]).abs() < 1e-4 && (y[1][l] - place[1]).abs() < 1e-4, "{l}: {y:?}");
+        }
+    }
 }

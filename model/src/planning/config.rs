@@ -236,3 +236,47 @@ impl OptimiseConfig {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_attempt_tightens_what_did_not_pass_and_both_where_the_goal_was_missed() {
+        let now = Attempt { number: 3, safety: 2, outage: 5 };
+        let next = |safety, outage| Attempt { number: 4, safety, outage };
+        assert_eq!(now.next(false, true), next(3, 5));
+        assert_eq!(now.next(true, false), next(2, 6));
+        assert_eq!(now.next(false, false), next(3, 6));
+        assert_eq!(now.next(true, true), next(3, 6));
+    }
+
+    #[test]
+    fn an_attempt_halves_its_tolerances_and_asks_for_more_snr() {
+        let objective =
+            Objective { collision_tolerance: 0.08, outage_tolerance: 0.4, ..Objective::default() };
+        let config = OptimiseConfig { objective, snr_headroom: 2.0, ..OptimiseConfig::default() };
+        let tight = config.attempt(Attempt { number: 4, safety: 3, outage: 2 });
+        let of = &tight.objective;
+        for (is, must) in
+            [(of.collision_tolerance, 0.01), (of.outage_tolerance, 0.1), (tight.snr_headroom, 2.645)]
+        {
+            assert!((is - must).abs() < 1e-12, "{is}, {must}");
+        }
+    }
+
+    #[test]
+    fn a_number_that_is_zero_infinite_or_no_multiple_is_named() {
+        OptimiseConfig::default().check().unwrap();
+        let refused = |change: fn(&mut OptimiseConfig)| {
+            let mut config = OptimiseConfig::default();
+            change(&mut config);
+            config.check().unwrap_err().to_string()
+        };
+        assert_eq!(refused(|c| c.horizon = 0), "horizon = 0: must be above 0");
+        assert_eq!(refused(|c| c.stage2_alpha = f64::INFINITY), "stage2_alpha = inf: must be above 0");
+        assert_eq!(refused(|c| c.barrier_growth = 1.0), "barrier_growth - 1 = 0: must be above 0");
+        assert_eq!(refused(|c| c.rollouts = 0), "rollouts = 0: must be a positive multiple of 32");
+        assert_eq!(refused(|c| c.rollouts = 48), "rollouts = 48: must be a positive multiple of 32");
+    }
+}

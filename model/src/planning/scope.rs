@@ -223,10 +223,50 @@ mod tests {
     }
 
     #[test]
+    fn the_margin_of_an_obstacle_that_moves_is_told_of_that_one_alone() {
+        let text = "[[obstacle]]\n[[obstacle]]\nposition = [0.3, 0.8]\nvelocity = [0.01, 0.0]";
+        let ours = PolicyScope::new(Scenario::from_toml(text).unwrap(), 0.0015);
+        let mut here = ours.scenario.clone();
+        here.obstacles.iter_mut().for_each(|o| o.margin = 0.25);
+        let told = ours.differences(&here);
+        assert_eq!(told.iter().map(|d| d.key.as_str()).collect::<Vec<_>>(), ["obstacle[1].margin"]);
+    }
+
+    #[test]
+    fn a_policy_for_still_air_covers_still_air() {
+        let mut here = scope().scenario;
+        here.disturbance.sigma_c = 0.0;
+        assert_eq!(PolicyScope::new(here.clone(), 0.0).differences(&here), []);
+    }
+
+    #[test]
+    fn a_fingerprint_names_what_matters_and_nothing_else() {
+        let of = |change: fn(&mut Scenario)| {
+            let mut here = scope().scenario;
+            change(&mut here);
+            fingerprint(&here)
+        };
+        let own = of(|_| ());
+        assert_eq!(own, of(|s| s.name = "another".into()));
+        assert_eq!(own, of(|s| s.goal.x = f64::from(s.goal.x as f32)), "a parameter's width");
+        let others = [
+            of(|s| s.goal.y = 0.6),
+            of(|s| s.uav_radius = 0.03),
+            of(|s| s.dynamics.walls = false),
+            of(|s| s.radio.b_dt = 2.0),
+            of(|s| s.disturbance.sigma_c = 0.01),
+        ];
+        for (n, other) in others.iter().enumerate() {
+            assert!(*other != own && !others[..n].contains(other), "{n}");
+        }
+    }
+
+    #[test]
     fn another_number_of_obstacles_is_told() {
         let more = differences(|s| s.obstacles.push(crpl_sitl::scenario::Obstacle::default()));
         assert!(more.contains(&"obstacle[1].radius = none in the policy, 0.1 here".to_owned()), "{more:?}");
         let fewer = differences(|s| s.obstacles.clear());
         assert!(fewer.contains(&"obstacle[0].radius = 0.1 in the policy, none here".to_owned()), "{fewer:?}");
+        assert!(fewer.iter().all(|told| told.starts_with("obstacle[0].")), "{fewer:?}");
     }
 }

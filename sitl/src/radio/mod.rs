@@ -186,6 +186,26 @@ mod tests {
     }
 
     #[test]
+    fn a_repeat_replaces_the_one_that_waits_with_its_power() {
+        let mut gate = Gate::default();
+        gate.submit(command(4));
+        gate.submit(Command { power: TxPower::High, accel: [9.0, 0.0], ..command(4) });
+        assert_eq!(gate.power(), TxPower::High);
+        transmit(&mut gate, Rule::Drop, 4, false);
+        assert_eq!(gate.held(), Some(Held { tick: Tick(4), accel: [9.0, 0.0] }));
+        assert_eq!(gate.fates(), Fates { sent: 1, delivered: 1, ..Fates::default() });
+    }
+
+    #[test]
+    fn what_still_waits_counts_as_lost_beside_what_was() {
+        let mut gate = Gate::default();
+        gate.submit(command(0));
+        transmit(&mut gate, Rule::Drop, 0, true);
+        gate.submit(command(1));
+        assert_eq!(gate.fates(), Fates { sent: 2, lost: 2, ..Fates::default() });
+    }
+
+    #[test]
     fn a_released_command_is_lost_and_not_held() {
         let mut gate = Gate::default();
         gate.submit(command(0));
