@@ -139,7 +139,11 @@ fn gcs_episodes_refuses_weights_that_are_not_finite_or_absurd() {
 #[test]
 fn gcs_check_counts_the_rate_that_the_packet_needs() {
     let folder = tempfile::tempdir().unwrap();
-    let args = ["check", "--scenario", "narrow", "--policy-mismatch", "allow", "--episodes", "100", "--json"];
+    // A packet needs an SNR of 3 there, three times γ_min; low power gives 2.8 at start and goal.
+    let file = folder.path().join("narrower.toml");
+    std::fs::write(&file, "[radio]\nb_dt = 2.0\n[disturbance]\nsigma_c = 0.005\n").unwrap();
+    let file = file.to_str().unwrap();
+    let args = ["check", "--scenario", file, "--policy-mismatch", "allow", "--episodes", "100", "--json"];
     let ended = gcs(folder.path(), &args);
     assert_eq!(ended.status.code(), Some(1), "{}", ended.stdout);
     let check: serde_json::Value = serde_json::from_str(&ended.stdout).unwrap();

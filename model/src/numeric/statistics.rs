@@ -117,7 +117,7 @@ impl Resamples {
             return Mean { mean: *first, ci: [*first, *first], sd: 0.0 };
         }
         let (mean, sd) = mean_and_sd(values);
-        if values.len() != self.episodes {
+        if values.len() != self.episodes || values.is_empty() {
             return Mean { mean, ci: [mean, mean], sd };
         }
         let n = self.episodes as f64;
@@ -154,6 +154,12 @@ impl Resamples {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_values_have_no_mean_and_no_panic() {
+        let none = Mean::of(&[]);
+        assert!(none.mean.is_nan() || none.mean == 0.0, "{none:?}");
+    }
 
     #[test]
     fn wilson_is_the_textbooks() {
