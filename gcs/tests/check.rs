@@ -59,3 +59,17 @@ fn a_policy_that_flies_into_the_obstacle_is_caught_by_its_flights() {
     let error = flown.verdict().expect_err("it collides").to_string();
     assert!(error.contains("P_safe measured in 4 flights is 0.0000"), "{error}");
 }
+
+#[test]
+fn a_policy_that_flies_to_the_edge_is_unsafe_where_the_scenario_has_a_margin() {
+    let mut scenario = Scenario::numbered(2).expect("the paper's scenario");
+    let mut policies = Policies::shipped(2).expect("the shipped policies read");
+    if let Some(last) = policies.motion.layers.last_mut() {
+        // North, away from the obstacle.
+        last.w.iter_mut().for_each(|w| *w = 0.0);
+        last.b = vec![0.0, 0.0, 0.0, 100.0, 0.0];
+    }
+    assert_eq!(measure(&policies, &scenario, 4, 0).safe.share, 0.0);
+    scenario.safety.edge_margin = 0.0;
+    assert_eq!(measure(&policies, &scenario, 4, 0).safe.share, 1.0);
+}

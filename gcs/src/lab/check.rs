@@ -3,7 +3,7 @@
 //! Algorithm 1 sees latents and smooth stand-ins of the constraints alone. Here the pair of policies
 //! flies the same loop as every other flight (frames rendered and encoded, commands through the radio),
 //! and the flights that keep each constraint are counted: P_safe is the share of flights without a
-//! collision, P_comm the share of flights whose SNR, at the executed powers, never falls below what a packet needs,
+//! collision that never come nearer to the field's edge than its margin, P_comm the share of flights whose SNR, at the executed powers, never falls below what a packet needs,
 //! max(γ_min, 2^(L/(B Δt)) - 1).
 
 use std::sync::Arc;
@@ -19,6 +19,7 @@ use crpl_sitl::program::terminal::{StopSignal, positive};
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::Snr;
+use nalgebra::Vector2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -84,7 +85,7 @@ pub struct ConstraintCheck {
     pub first_seed: u64,
     /// Standard deviation of the gusts' velocity change, units per interval.
     pub gust_std: f64,
-    /// Flights without a collision.
+    /// Flights without a collision that kept the edge's margin.
     pub safe: ConstraintRate,
     /// Flights whose SNR never fell below what a packet needs, max(γ_min, 2^(L/(B Δt)) - 1).
     pub comm: ConstraintRate,
@@ -187,6 +188,11 @@ impl std::fmt::Display for ConstraintCheck {
     }
 }
 
+/// Whether a UAV at `r` keeps `margin` to the field's edge, units; always, where there is none to keep.
+fn inside(r: Vector2<f64>, margin: f64) -> bool {
+    margin == 0.0 || r.iter().all(|x| (margin..=1.0 - margin).contains(x))
+}
+
 /// The result of one flight.
 struct End {
     clear: bool,
@@ -201,7 +207,7 @@ impl End {
         let needed = scope::required_snr(scenario);
         let d_f = records.last().map_or(f64::NAN, |last| (last.r_next - scenario.goal).norm());
         Self {
-            clear: records.iter().all(|r| !r.collided),
+            clear: records.iter().all(|r| !r.collided && inside(r.r_next, scenario.safety.edge_margin)),
             connected: records.iter().all(|r| Snr::from_db(f64::from(r.snr_db)).0 >= needed * (1.0 - F32)),
             reached: d_f <= scenario.goal_radius,
             outages: records.iter().filter(|r| r.outage).count(),
