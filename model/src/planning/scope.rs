@@ -23,12 +23,32 @@ const BOUNDED: [&str; 1] = ["channel.snr_min"];
 
 /// What a policy was optimised and checked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "StatedScope")]
 pub struct PolicyScope {
     /// The scenario of the optimisation. The policy covers scenarios with the same keys that need at most
     /// the same SNR.
     pub scenario: Scenario,
     /// Largest standard deviation, per axis, of the gusts that it was checked in; units per interval.
     pub gust_std: f64,
+    /// The scenario as the file states it: a file of an older version lacks keys, and was made without them.
+    #[serde(skip)]
+    stated: Value,
+}
+
+/// A scope as a file has it.
+#[derive(Deserialize)]
+struct StatedScope {
+    scenario: Value,
+    gust_std: f64,
+}
+
+impl TryFrom<StatedScope> for PolicyScope {
+    type Error = serde_json::Error;
+
+    fn try_from(stated: StatedScope) -> Result<Self, Self::Error> {
+        let StatedScope { scenario, gust_std } = stated;
+        Ok(Self { scenario: serde_json::from_value(scenario.clone())?, gust_std, stated: scenario })
+    }
 }
 
 /// One key in which a scenario leaves a policy's world.
@@ -53,14 +73,14 @@ impl PolicyScope {
     /// per axis).
     #[must_use]
     pub fn new(scenario: Scenario, gust_std: f64) -> Self {
-        Self { scenario, gust_std }
+        Self { stated: json(&scenario), scenario, gust_std }
     }
 
     /// Where `here` leaves this world; empty if the policy covers it. Numbers are compared as f32, the
     /// width that parameters have on the wire.
     #[must_use]
     pub fn differences(&self, here: &Scenario) -> Vec<KeyDifference> {
-        let (ours, theirs) = (leaves(&self.scenario), leaves(here));
+        let (ours, theirs) = (leaves(&self.scenario, &self.stated), leaves(here, &json(here)));
         let mut found = Vec::new();
         let none = || "none".to_owned();
         for (key, value) in &ours {
@@ -107,7 +127,7 @@ pub fn required_snr(scenario: &Scenario) -> f64 {
 #[must_use]
 pub fn fingerprint(scenario: &Scenario) -> String {
     let mut text = String::new();
-    for (key, value) in leaves(scenario) {
+    for (key, value) in leaves(scenario, &json(scenario)) {
         text += &format!("{key} = {};", narrow(&value));
     }
     text += &format!("{} {}", required_snr(scenario) as f32, scenario.disturbance.gust_std() as f32);
@@ -123,13 +143,18 @@ fn narrow(value: &Value) -> String {
     }
 }
 
-/// Dotted keys and values of all that matters to a policy.
-fn leaves(scenario: &Scenario) -> Vec<(String, Value)> {
+/// A scenario is a table of numbers, words and tables: it always has a JSON form.
+fn json(scenario: &Scenario) -> Value {
+    serde_json::to_value(scenario).unwrap_or_default()
+}
+
+/// Dotted keys and values of all that matters to a policy, of `scenario` with the JSON form `all`.
+fn leaves(scenario: &Scenario, all: &Value) -> Vec<(String, Value)> {
     let mut found = Vec::new();
-    // A scenario is a table of numbers, words and tables: it always has a JSON form.
-    let all = serde_json::to_value(scenario).unwrap_or_default();
     for key in KEYS {
-        collect(key, all.get(key).unwrap_or(&Value::Null), &mut found);
+        if let Some(value) = all.get(key) {
+            collect(key, value, &mut found);
+        }
     }
     let stands = |n: usize| scenario.obstacles.get(n).is_some_and(|o| o.velocity.norm() == 0.0);
     found.retain(|(key, _)| {
@@ -259,6 +284,19 @@ mod tests {
         for (n, other) in others.iter().enumerate() {
             assert!(*other != own && !others[..n].contains(other), "{n}");
         }
+    }
+
+    #[test]
+    fn a_key_that_an_older_file_does_not_state_is_told() {
+        let mut file = serde_json::to_value(scope()).unwrap();
+        let here = scope().scenario;
+        let read = |file: &Value| serde_json::from_value::<PolicyScope>(file.clone()).unwrap();
+        assert_eq!((read(&file), read(&file).differences(&here).len()), (scope(), 0));
+        file["scenario"].as_object_mut().unwrap().remove("cost");
+        let told: Vec<String> = read(&file).differences(&here).iter().map(ToString::to_string).collect();
+        assert!(told.contains(&"cost.settle = none in the policy, 5.0 here".to_owned()), "{told:?}");
+        file["scenario"]["safety"]["softness"] = "wide".into();
+        assert!(serde_json::from_value::<PolicyScope>(file).is_err());
     }
 
     #[test]
