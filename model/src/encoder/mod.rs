@@ -4,4 +4,5 @@ pub mod infer;
 #[cfg(feature = "train")]
 pub mod module;
 pub mod probe;
+pub mod votes;
 pub mod weights;

@@ -299,13 +299,13 @@ impl Stored for Weights {
 }
 
 /// Adds `{name}.weight` and `{name}.bias`.
-fn put_layer(out: &mut Writer, name: &str, layer: &Layer) {
+pub(crate) fn put_layer(out: &mut Writer, name: &str, layer: &Layer) {
     out.f32(&format!("{name}.weight"), &layer.shape, layer.w.iter().copied());
     out.f32(&format!("{name}.bias"), &[layer.b.len()], layer.b.iter().copied());
 }
 
 /// Reads `{name}.weight` with this shape and its bias.
-fn get_layer(from: &Reader<'_>, name: &str, shape: &[usize]) -> Result<Layer, TensorError> {
+pub(crate) fn get_layer(from: &Reader<'_>, name: &str, shape: &[usize]) -> Result<Layer, TensorError> {
     let w = from.f32(&format!("{name}.weight"), shape)?;
     let b = from.f32(&format!("{name}.bias"), &shape[..1])?;
     Ok(Layer { shape: shape.to_vec(), w, b })

@@ -137,6 +137,11 @@ impl Writer {
         self.tensors.push((name.into(), Dtype::F64, shape.to_vec(), bytes));
     }
 
+    /// Adds a tensor of bytes.
+    pub fn u8(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = u8>) {
+        self.tensors.push((name.into(), Dtype::U8, shape.to_vec(), values.into_iter().collect()));
+    }
+
     /// Adds a matrix of f64, row by row.
     pub fn matrix<const R: usize, const C: usize>(&mut self, name: &str, matrix: &SMatrix<f64, R, C>) {
         self.f64(name, &[R, C], matrix.transpose().iter().copied());
@@ -177,6 +182,11 @@ impl Writer {
     }
 }
 
+/// The numbers of a tensor of f32.
+fn words(view: &TensorView<'_>) -> Vec<f32> {
+    view.data().as_chunks::<4>().0.iter().map(|w| f32::from_le_bytes(*w)).collect()
+}
+
 /// Reads named tensors and checks their shapes.
 #[derive(Debug)]
 pub struct Reader<'a> {
@@ -215,11 +225,49 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// If a tensor is missing, has another shape or type, or a value is not finite.
     pub fn f32(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
-        let view = self.checked(name, shape, Dtype::F32)?;
-        let (words, _) = view.data().as_chunks::<4>();
-        let values: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
+        let values = words(&self.checked(name, shape, Dtype::F32)?);
         self.finite(name, values.iter().all(|v| is_sane(*v)))?;
         Ok(values)
+    }
+
+    /// The same where NaN stands for what was not measured.
+    ///
+    /// # Errors
+    /// If a tensor is missing, has another shape or type, or a value is infinite.
+    pub fn f32_or_nan(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
+        let values = words(&self.checked(name, shape, Dtype::F32)?);
+        self.finite(name, values.iter().all(|v| v.is_nan() || is_sane(*v)))?;
+        Ok(values)
+    }
+
+    /// A tensor of bytes with this shape.
+    ///
+    /// # Errors
+    /// If a tensor is missing or has another shape or type.
+    pub fn u8(&self, name: &str, shape: &[usize]) -> Result<Vec<u8>, TensorError> {
+        Ok(self.checked(name, shape, Dtype::U8)?.data().to_vec())
+    }
+
+    /// Where in the file's `bytes` a tensor of bytes with this shape begins.
+    ///
+    /// # Errors
+    /// If the tensor is missing or has another shape or type.
+    pub fn place(&self, name: &str, shape: &[usize], bytes: &[u8]) -> Result<usize, TensorError> {
+        let view = self.checked(name, shape, Dtype::U8)?;
+        Ok(view.data().as_ptr().addr() - bytes.as_ptr().addr())
+    }
+
+    /// The metadata of the file's `bytes`; none is an empty map.
+    ///
+    /// # Errors
+    /// [`TensorError::Format`] if the header does not parse.
+    pub fn metadata(&self, bytes: &[u8]) -> Result<HashMap<String, String>, TensorError> {
+        let wrong = |e: safetensors::SafeTensorError| TensorError::Format {
+            path: self.path.clone(),
+            message: e.to_string(),
+        };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(wrong)?;
+        Ok(header.metadata().clone().unwrap_or_default())
     }
 
     /// A tensor of f64 with this shape.

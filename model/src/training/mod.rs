@@ -1,6 +1,6 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `bounds`, `closed_form`, `stages` and `predictors` need burn: the cargo feature `train`.
+//! All but `bounds`, `closed_form`, `learned`, `stages` and `predictors` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
@@ -16,6 +16,7 @@ pub mod fitting;
 pub mod gradient;
 #[cfg(feature = "train")]
 pub mod heads;
+pub mod learned;
 #[cfg(feature = "train")]
 pub mod losses;
 pub mod predictors;

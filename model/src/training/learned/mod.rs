@@ -1,0 +1,325 @@
+//! The learned encoder, trained end to end on a recording: pictures, actions, measured gain; no position.
+//!
+//! An online encoder descends, an EMA target follows it (Sec. II-A3). Read [`train`] from top to bottom; the
+//! losses are in [`loss`]. A step is a function of the seed, its number and the state before it, so an
+//! interrupted run ends with the bytes of one that was not.
+
+pub mod batch;
+pub mod config;
+pub mod loss;
+pub mod teacher;
+
+use std::path::Path;
+
+use crpl_sitl::world::noise::{Noise, Stream};
+use indicatif::ProgressBar;
+use rayon::prelude::*;
+
+use crate::encoder::votes::network::Scratch;
+use crate::encoder::votes::{Activations, BODIES, VoteEncoder, VoteGradient, VoteWeights, Votes, VotesGradient};
+use crate::numeric::adam::{Adam, Betas};
+use crate::numeric::mlp::Mlp;
+use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
+use crate::training::learned::batch::{Drawn, PIXELS, normal};
+pub use crate::training::learned::config::LearnedConfig;
+use crate::training::learned::loss::{GAIN_NET, GainNet, Phase, Readings, RunningMeans};
+use crate::world_model::recording::Recording;
+
+/// File of the state from which `--resume` continues.
+pub const LEARNED_PROGRESS: &str = "learned.safetensors";
+
+/// Pictures whose gradients are summed one after the other; chunks run side by side and are added in their order,
+/// so the number of threads changes no bit.
+const CHUNK: usize = 12;
+
+/// Steps between two reports.
+const REPORT_EVERY: usize = 50;
+
+/// Why the training stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnedError {
+    /// The recording or the progress could not be read or written.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// Loss or gradient overflowed.
+    #[error("step {0} of the learned encoder: the loss is not finite; lower learned.learning_rate")]
+    Diverged(usize),
+    /// Too few episodes.
+    #[error("the recording has {found} episodes, and learned.held_out = {held_out} of them are not trained on")]
+    Episodes {
+        /// Episodes there.
+        found: usize,
+        /// Not trained on.
+        held_out: usize,
+    },
+}
+
+/// Everything that decides the rest of a run.
+#[derive(Debug, Clone)]
+struct LearnedState {
+    step: usize,
+    online: VoteWeights,
+    target: VoteWeights,
+    gain: Mlp,
+    adam: Adam,
+    means: RunningMeans,
+}
+
+/// Forward pass of one picture, kept for the backward pass.
+#[derive(Default)]
+struct Slot {
+    activations: Activations,
+    pixels: Vec<f32>,
+}
+
+/// What a run reuses from step to step.
+struct Workspace {
+    slots: Vec<Slot>,
+    chunks: Vec<(VoteGradient, Scratch)>,
+}
+
+/// Trains an encoder on a recording, from random weights or from `start`, and returns the EMA target. `dir` keeps
+/// the progress.
+///
+/// # Errors
+/// If the loss diverges, or a file cannot be read or written.
+pub fn train(
+    recording: &Recording,
+    config: &LearnedConfig,
+    start: Option<&VoteWeights>,
+    noise: &Noise,
+    dir: Option<&Path>,
+    bar: &ProgressBar,
+) -> Result<VoteWeights, LearnedError> {
+    train_watched(recording, config, start, noise, dir, bar, &mut |_, _| {})
+}
+
+/// The same; `watch` is shown the target after every step.
+///
+/// # Errors
+/// As [`train`].
+pub fn train_watched(
+    recording: &Recording,
+    config: &LearnedConfig,
+    start: Option<&VoteWeights>,
+    noise: &Noise,
+    dir: Option<&Path>,
+    bar: &ProgressBar,
+    watch: &mut dyn FnMut(usize, &VoteWeights),
+) -> Result<VoteWeights, LearnedError> {
+    let found = recording.episodes().len();
+    let Some(count) = found.checked_sub(config.held_out).filter(|n| *n > 0) else {
+        return Err(LearnedError::Episodes { found, held_out: config.held_out });
+    };
+    let episodes = &recording.episodes()[..count];
+    let progress = dir.map(|dir| dir.join(LEARNED_PROGRESS));
+    let mut state = LearnedState::load_or_begin(progress.as_deref(), start, config, noise)?;
+    let mut space = Workspace::new(config);
+    bar.set_position(state.step as u64);
+    while state.step < config.steps {
+        let mut rng = noise.generator(Stream::Batches, (2 << 20) + state.step as u64);
+        let drawn = batch::draw(recording, episodes, config, &mut rng)?;
+
+        // Online encoder on its view, kept for the gradient; target encoder on the recording's third pictures.
+        let online = VoteEncoder::new(state.online.clone());
+        let target = VoteEncoder::new(state.target.clone());
+        let seen = space.look(&online, &drawn);
+        let aim = space.aim(&target, &drawn);
+
+        // The loss, its gradient by the readings and from there by the weights.
+        let readings = Readings { online: &seen, target: &aim, drawn: &drawn };
+        let mut gain = GainNet { net: &state.gain, gradient: Mlp::zeros(&GAIN_NET) };
+        let phase = Phase { step: state.step, steps: config.steps };
+        let loss = loss::evaluate(&readings, &mut gain, config, phase, &mut state.means);
+        let gradient = space.backward(&online, &drawn, &loss.gradients);
+        let gain_gradient = gain.gradient;
+        if !loss.value.is_finite() || !state.descend(&gradient, &gain_gradient, config) {
+            return Err(LearnedError::Diverged(state.step));
+        }
+        state.follow(config);
+
+        state.step += 1;
+        bar.set_position(state.step as u64);
+        watch(state.step, &state.target);
+        if let Some(progress) = &progress
+            && state.step.is_multiple_of(config.save_every)
+        {
+            state.save(progress)?;
+        }
+        if state.step.is_multiple_of(REPORT_EVERY) || state.step == config.steps {
+            bar.set_message(state.means.message(loss.value));
+            tracing::debug!(step = state.step, "{}", bar.message());
+        }
+    }
+    Ok(state.target)
+}
+
+impl RunningMeans {
+    fn message(&self, loss: f32) -> String {
+        format!(
+            "loss {loss:.2}  c {:.2} px R {:.3}  u {:.2} px moves {:.1}  teacher {:.2} ({:.0} %)  gain {:.2} dB  votes {:.1} {:.1} px",
+            self.loss_c,
+            self.correlation,
+            self.error_u,
+            self.movement,
+            self.teacher,
+            100.0 * self.believed,
+            self.gain,
+            self.spread[0],
+            self.spread[1],
+        )
+    }
+}
+
+impl Workspace {
+    fn new(config: &LearnedConfig) -> Self {
+        let pictures = 6 * config.triples;
+        Self {
+            slots: (0..pictures).map(|_| Slot { pixels: vec![0.0; PIXELS], ..Slot::default() }).collect(),
+            chunks: (0..pictures.div_ceil(CHUNK)).map(|_| Default::default()).collect(),
+        }
+    }
+
+    /// The online encoder's readings of all pictures, in the recording's coordinates.
+    fn look(&mut self, online: &VoteEncoder, drawn: &Drawn) -> Vec<Votes> {
+        let each = self.slots.par_iter_mut().enumerate().map(|(k, Slot { activations, pixels })| {
+            drawn.flips[k].pixels(&drawn.frames[k], pixels);
+            if let Some(view) = &drawn.views[k] {
+                view.apply(pixels);
+            }
+            activations.set_pixels(pixels.iter().copied());
+            let mut votes = online.forward(activations);
+            votes.p = votes.p.map(|p| drawn.flips[k].undo(p));
+            votes
+        });
+        each.collect()
+    }
+
+    /// The target's places in the third pictures, in the recording's coordinates.
+    fn aim(&self, target: &VoteEncoder, drawn: &Drawn) -> Vec<[[f32; 2]; BODIES]> {
+        let n = drawn.triples.len();
+        let each = (2 * n..3 * n).into_par_iter().map_init(
+            || (Activations::default(), vec![0.0; PIXELS]),
+            |(activations, pixels), k| {
+                drawn.flips[k].pixels(&drawn.frames[k], pixels);
+                activations.set_pixels(pixels.iter().copied());
+                target.forward(activations).p.map(|p| drawn.flips[k].undo(p))
+            },
+        );
+        each.collect()
+    }
+
+    /// The gradient by the weights, of all pictures.
+    fn backward(&mut self, online: &VoteEncoder, drawn: &Drawn, by: &[VotesGradient]) -> VoteWeights {
+        let pictures = self.slots.par_chunks_mut(CHUNK).zip(by.par_chunks(CHUNK)).zip(drawn.flips.par_chunks(CHUNK));
+        pictures.zip(&mut self.chunks).for_each(|(((slots, by), flips), (gradient, scratch))| {
+            gradient.clear();
+            for ((slot, by), flip) in slots.iter_mut().zip(by).zip(flips) {
+                let by = VotesGradient { p: by.p.map(|d| flip.redo(d)), spread: by.spread };
+                online.backward(&slot.activations, &by, scratch, gradient);
+            }
+        });
+        let mut sum = VoteGradient::default();
+        self.chunks.iter().for_each(|(gradient, _)| sum.add(gradient));
+        sum.unpacked()
+    }
+}
+
+impl LearnedState {
+    fn begin(start: Option<&VoteWeights>, config: &LearnedConfig, noise: &Noise) -> Self {
+        let online = start.cloned().unwrap_or_else(|| VoteWeights::random(noise));
+        let mut gain = Mlp::zeros(&GAIN_NET);
+        let mut rng = noise.generator(Stream::Weights, 9);
+        for layer in &mut gain.layers {
+            let deviation = 1.0 / (layer.inputs as f32).sqrt();
+            layer.w.iter_mut().for_each(|w| *w = deviation * normal(&mut rng));
+        }
+        let count = online.parameters() + gain.parts().iter().map(|p| p.len()).sum::<usize>();
+        let adam = Adam::new(count, Betas::FAST, config.weight_decay as f32);
+        Self { step: 0, target: online.clone(), online, gain, adam, means: RunningMeans::default() }
+    }
+
+    fn descend(&mut self, encoder: &VoteWeights, gain: &Mlp, config: &LearnedConfig) -> bool {
+        let warm = ((self.step + 1) as f64 / config.warm_up.max(1) as f64).min(1.0);
+        let phase = std::f64::consts::PI * self.step as f64 / config.steps as f64;
+        let rate = config.learning_rate * warm * (0.02 + 0.98 * 0.5 * (1.0 + phase.cos()));
+        let gradients = [encoder.parts(), gain.parts()].concat();
+        let mut weights = self.online.parts_mut();
+        weights.extend(self.gain.parts_mut());
+        loss::descend(weights, &gradients, &mut self.adam, config.clip, rate)
+    }
+
+    fn follow(&mut self, config: &LearnedConfig) {
+        let early = (self.step as f64 + 1.0) / (self.step as f64 + 10.0);
+        let tau = config.momentum.min(early) as f32;
+        for (target, online) in self.target.parts_mut().into_iter().zip(self.online.parts()) {
+            target.iter_mut().zip(online).for_each(|(t, o)| *t = tau * *t + (1.0 - tau) * o);
+        }
+    }
+
+    fn save(&self, path: &Path) -> Result<(), TensorError> {
+        let mut out = Writer::default();
+        let flat = |parts: Vec<&[f32]>| parts.concat();
+        let [first, second] = self.adam.moments();
+        let numbers = self.means.numbers();
+        for (name, values) in [
+            ("online", flat(self.online.parts())),
+            ("target", flat(self.target.parts())),
+            ("gain", flat(self.gain.parts())),
+            ("first", first.to_vec()),
+            ("second", second.to_vec()),
+            ("means", numbers.to_vec()),
+        ] {
+            out.f32(name, &[values.len()], values);
+        }
+        out.f64("step", &[1], [self.step as f64]);
+        write_all(path, &out.bytes()?)
+    }
+
+    fn load_or_begin(
+        path: Option<&Path>,
+        start: Option<&VoteWeights>,
+        config: &LearnedConfig,
+        noise: &Noise,
+    ) -> Result<Self, TensorError> {
+        let mut state = Self::begin(start, config, noise);
+        let Some(path) = path.filter(|path| path.exists()) else { return Ok(state) };
+        let bytes = tensors::read(path)?;
+        let from = Reader::new(&bytes, path.into())?;
+        let fill = |parts: Vec<&mut [f32]>, name: &str| -> Result<(), TensorError> {
+            let values = from.f32(name, &[parts.iter().map(|p| p.len()).sum()])?;
+            parts.into_iter().flatten().zip(values).for_each(|(w, v)| *w = v);
+            Ok(())
+        };
+        fill(state.online.parts_mut(), "online")?;
+        fill(state.target.parts_mut(), "target")?;
+        fill(state.gain.parts_mut(), "gain")?;
+        let count = state.adam.moments()[0].len();
+        let moments = [from.f32("first", &[count])?, from.f32("second", &[count])?];
+        state.step = from.f64("step", &[1])?[0] as usize;
+        state.adam.restore(moments, state.step);
+        let mut numbers = [0.0; RunningMeans::LENGTH];
+        numbers.copy_from_slice(&from.f32("means", &[RunningMeans::LENGTH])?);
+        state.means = RunningMeans::from_numbers(numbers);
+        Ok(state)
+    }
+}
+
+/// Writes an encoder by itself.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn save_encoder(weights: &VoteWeights, path: &Path) -> Result<(), TensorError> {
+    let mut out = Writer::default();
+    weights.put(&mut out);
+    write_all(path, &out.bytes()?)
+}
+
+/// Reads what [`save_encoder`] wrote.
+///
+/// # Errors
+/// If the file is missing or holds something else.
+pub fn load_encoder(path: &Path) -> Result<VoteWeights, TensorError> {
+    let bytes = tensors::read(path)?;
+    VoteWeights::get(&Reader::new(&bytes, path.into())?)
+}
