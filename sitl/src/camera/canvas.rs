@@ -103,7 +103,8 @@ impl Mask {
     /// The mean of discs.
     pub fn new(discs: &[Disc]) -> Self {
         let windows = discs.iter().map(|disc| (disc, disc.window()));
-        let seen: Vec<_> = windows.filter(|(_, (columns, rows))| !columns.is_empty() && !rows.is_empty()).collect();
+        let seen: Vec<_> =
+            windows.filter(|(_, (columns, rows))| !columns.is_empty() && !rows.is_empty()).collect();
         let (left, right) = bounds(seen.iter().map(|(_, (columns, _))| columns));
         let (top, bottom) = bounds(seen.iter().map(|(_, (_, rows))| rows));
         let width = right - left;

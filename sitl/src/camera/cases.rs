@@ -57,7 +57,12 @@ pub enum CameraError {
     },
 }
 
-const fn case(name: &'static str, about: &'static str, placement: Placement, toml: &'static str) -> CameraCase {
+const fn case(
+    name: &'static str,
+    about: &'static str,
+    placement: Placement,
+    toml: &'static str,
+) -> CameraCase {
     CameraCase { name, about, placement, toml }
 }
 
@@ -115,7 +120,12 @@ pub const CASES: [CameraCase; 25] = [
         Whole,
         family!("distractors = { count = 2 }\n[ground]\nkind = \"procedural\"\n"),
     ),
-    case("hard", "all together: each flight draws its own", Anywhere, include_str!("../../presets/cameras/hard.toml")),
+    case(
+        "hard",
+        "all together: each flight draws its own",
+        Anywhere,
+        include_str!("../../presets/cameras/hard.toml"),
+    ),
     case("harder", "everything at full", Whole, include_str!("../../presets/cameras/harder.toml")),
 ];
 

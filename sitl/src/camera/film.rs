@@ -274,3 +274,228 @@ impl Drift {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::cases::CASES;
+
+    const TICK: Tick = Tick(7);
+
+    fn poses() -> Poses {
+        let body = |x, y, vx, vy, radius| Body {
+            position: Vector2::new(x, y),
+            velocity: Vector2::new(vx, vy),
+            radius,
+        };
+        let obstacles = [body(0.7, 0.6, 0.0, 0.0125, 0.1)];
+        Poses { uav: body(0.3, 0.4, 0.03, 0.0, 0.02), obstacles: obstacles.into() }
+    }
+
+    fn camera(toml: &str) -> CameraConfig {
+        let config: CameraConfig = toml::from_str(toml).unwrap();
+        assert_eq!(config.violation(), None, "{toml}");
+        config
+    }
+
+    fn take(toml: &str, seed: u64, tick: Tick) -> Frame {
+        Film::new(&camera(toml), seed).frame(tick, &poses())
+    }
+
+    /// Sum and centre, px, of how far `channel` is from that of `without`.
+    fn moments(frame: &Frame, without: &Frame, channel: usize) -> (f64, Vector2<f64>) {
+        let (mut sum, mut place) = (0.0, Vector2::zeros());
+        for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+            let change = f64::from(frame.pixel(x, y)[channel]) - f64::from(without.pixel(x, y)[channel]);
+            sum += change.abs();
+            place += change.abs() * Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
+        }
+        (sum, place / sum)
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_bytes_whatever_was_taken_before() {
+        for case in CASES {
+            let config = case.config().unwrap();
+            let [one, other] = [(); 2].map(|()| Film::new(&config, 5));
+            let _ = one.frame(Tick(90), &poses());
+            assert_eq!(one.frame(TICK, &poses()), other.frame(TICK, &poses()), "{}", case.name);
+        }
+    }
+
+    #[test]
+    fn each_effect_changes_the_picture() {
+        let ground = "ground = { kind = \"procedural\" }\n";
+        let plain = take(ground, 3, TICK);
+        for effect in [
+            "uav = [1.0, 1.0, 0.0]",
+            "obstacle = [0.0, 1.0, 1.0]",
+            "colours = \"family\"",
+            "colours = \"any\"",
+            "obstacle_scale = 0.8",
+            "drift = 0.1",
+            "shade = 0.3",
+            "shadow = 0.4",
+            "jpeg = 50",
+            "blur = 0.5",
+            "shake = 1.0",
+            "noise = 2.0",
+            "distractors = { count = 1 }",
+            "edge_px = 2.0",
+        ] {
+            assert_ne!(take(&format!("{ground}{effect}"), 3, TICK), plain, "{effect}");
+        }
+        for key in ["contrast = 0.1", "mean = 0.5", "tint = 0.2", "edges = 20", "share = 0.0"] {
+            let other = format!("ground = {{ kind = \"procedural\", {key} }}");
+            assert_ne!(take(&other, 3, TICK), plain, "{key}");
+        }
+        assert_ne!(take(ground, 4, TICK), plain);
+        assert_eq!(take(ground, 3, Tick(8)), plain, "the ground stands still");
+    }
+
+    #[test]
+    fn what_drifts_shakes_and_flickers_is_another_in_each_frame() {
+        for effect in ["drift = 0.2", "shake = 1.0", "noise = 2.0", "distractors = { count = 1 }"] {
+            assert_ne!(take(effect, 3, Tick(8)), take(effect, 3, TICK), "{effect}");
+        }
+    }
+
+    #[test]
+    fn the_canvas_draws_the_clean_frame_to_a_rounding() {
+        let clean = take("", 0, TICK);
+        // Just off the default, so that it is painted on the canvas.
+        let painted = take("obstacle_2 = [0.0, 0.9, 0.0]", 0, TICK);
+        let far = clean.rgb().iter().zip(painted.rgb()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(far <= Some(1), "{far:?}");
+    }
+
+    #[test]
+    fn blur_widens_a_body_along_its_way_and_keeps_centre_and_light() {
+        let black = Frame::black();
+        let (sharp, blurred) = (take("", 0, TICK), take("blur = 1.0", 0, TICK));
+        let [(sum, centre), (sum_b, centre_b)] = [&sharp, &blurred].map(|frame| moments(frame, &black, 0));
+        assert!((sum_b / sum - 1.0).abs() < 0.01 && (centre - centre_b).norm() < 0.05);
+        let spread = |frame: &Frame, axis: usize| {
+            let pixels = (0..SIDE * SIDE).map(|n| (n % SIDE, n / SIDE));
+            let far = |(x, y): (usize, usize)| {
+                let r = Vector2::new(x as f64 + 0.5, y as f64 + 0.5) - centre;
+                r[axis].powi(2) * f64::from(frame.pixel(x, y)[0]) / sum
+            };
+            pixels.map(far).sum::<f64>()
+        };
+        // 3 px in an interval: places at -1.2, -0.6, 0, 0.6 and 1.2 px add a variance of 0.72.
+        let wider = [0, 1].map(|axis| spread(&blurred, axis) - spread(&sharp, axis));
+        assert!((wider[0] - 0.72).abs() < 0.1 && wider[1].abs() < 0.05, "{wider:?}");
+    }
+
+    #[test]
+    fn a_shadow_falls_four_pixels_from_its_body_and_away_from_the_light() {
+        let ground = "uav = [0.0, 0.0, 0.0]\nobstacle = [0.0, 0.0, 0.0]\n[ground]\nkind = \"procedural\"\ncontrast = 0.0\nmean = 0.8\n";
+        let film = |toml: &str| Film::new(&camera(toml), 3);
+        let far = Poses { uav: Body { position: Vector2::new(-1.0, -1.0), ..poses().uav }, ..poses() };
+        let dark = film(&format!("shadow = 0.5\n{ground}"));
+        let (with, without) = (dark.frame(TICK, &far), film(ground).frame(TICK, &far));
+        // The shadow's part that the body hides has its centre elsewhere than the part that is seen.
+        let (_, seen) = moments(&with, &without, 1);
+        let away = seen - 100.0 * far.obstacles[0].position;
+        assert!(away.norm() > 4.0, "{away}");
+        assert!(away.normalize().dot(&dark.look().light) < -0.99, "{away}");
+    }
+
+    #[test]
+    fn shading_is_brighter_towards_the_light() {
+        let film = Film::new(&camera("obstacle = [0.0, 0.0, 0.5]\nshade = 0.3"), 3);
+        let plain = Film::new(&camera("obstacle = [0.0, 0.0, 0.5]"), 3).frame(TICK, &poses());
+        let frame = film.frame(TICK, &poses());
+        let at = |side: f64| {
+            let place = 100.0 * poses().obstacles[0].position + side * 7.0 * film.look().light;
+            let [x, y] = [place.x, place.y].map(|p| p as usize);
+            f64::from(frame.pixel(x, y)[2]) / f64::from(plain.pixel(x, y)[2]) - 1.0
+        };
+        // 7 of 12 px from the centre.
+        assert!(
+            (at(1.0) - 0.175).abs() < 0.03 && (at(-1.0) + 0.175).abs() < 0.03,
+            "{} {}",
+            at(1.0),
+            at(-1.0)
+        );
+    }
+
+    #[test]
+    fn a_shaking_camera_moves_bodies_and_ground_together() {
+        let toml = "uav = [1.0, 0.0, 0.0]\nshake = 2.0\nedge_px = 3.9";
+        let film = Film::new(&camera(toml), 3);
+        let shift = film.shake(TICK);
+        assert!(shift.norm() > 0.1 && shift.amax() <= 4.0);
+        let (_, centre) = moments(&film.frame(TICK, &poses()), &Frame::black(), 0);
+        assert!((centre - Vector2::new(30.0, 40.0) - shift).norm() < 0.05, "{centre} {shift}");
+        assert_ne!(film.shake(Tick(8)), shift);
+    }
+
+    #[test]
+    fn noise_has_its_size() {
+        let grey = "[ground]\nkind = \"procedural\"\ncontrast = 0.0\nmean = 0.5\ntint = 0.0\n";
+        let (with, without) = (take(&format!("noise = 5.0\n{grey}"), 1, TICK), take(grey, 1, TICK));
+        let pairs = with.rgb().iter().zip(without.rgb()).filter(|(_, plain)| (100..150).contains(*plain));
+        let changes: Vec<f64> = pairs.map(|(a, b)| f64::from(*a) - f64::from(*b)).collect();
+        let mean = changes.iter().sum::<f64>() / changes.len() as f64;
+        let variance = changes.iter().map(|c| c * c).sum::<f64>() / changes.len() as f64;
+        // Rounding adds a twelfth.
+        assert!(mean.abs() < 0.6 && (variance - 25.0 - 1.0 / 12.0).abs() < 1.5, "{mean} {variance}");
+    }
+
+    #[test]
+    fn drift_keeps_its_bounds() {
+        let config = camera("drift = 0.2");
+        let drift = Drift::draw(&config, &mut Noise::new(4).generator(Stream::Look, 0));
+        for tick in 0..400 {
+            for [factor, _] in drift.channels(Tick(tick), 0.0) {
+                let factor = factor / 255.0;
+                assert!((0.72 * 0.8..=1.28 * 1.2).contains(&factor), "{factor}");
+            }
+        }
+    }
+
+    #[test]
+    fn distractors_reflect_and_stand_off_from_the_bodies_colours() {
+        let film = Film::new(&camera("colours = \"family\"\ndistractors = { count = 5, speed = 9.0 }"), 3);
+        let look = film.look();
+        assert_eq!(look.distractors.len(), 5);
+        for distractor in &look.distractors {
+            for tick in 0..200 {
+                let [now, next] = [tick, tick + 1].map(|k| distractor.at(Tick(k)));
+                assert!(now.position.iter().all(|x| (4.0..=96.0).contains(x)));
+                assert!((next.position - now.position).norm() <= 9.0 + 1e-9);
+            }
+            for body in [look.colours.uav, look.colours.obstacle] {
+                let apart = distractor.colour.iter().zip(body).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
+                assert!(apart.sqrt() > 0.5);
+            }
+        }
+    }
+
+    #[test]
+    fn bodies_beyond_the_edge_are_cut_and_nothing_breaks() {
+        let config = CameraConfig::case("harder").unwrap();
+        for x in [-3.0, -0.05, 0.0, 0.5, 1.0, 1.08, 4.0] {
+            for y in [-0.11, 0.0, 1.0, 2.0] {
+                let mut poses = poses();
+                poses.uav.position = Vector2::new(x, y);
+                poses.obstacles[0].position = Vector2::new(y, x);
+                let _ = Film::new(&config, 1).frame(TICK, &poses);
+            }
+        }
+    }
+
+    #[test]
+    fn half_of_the_flights_have_an_effect_and_seven_in_ten_a_ground() {
+        let config = CameraConfig::case("hard").unwrap();
+        let looks: Vec<Look> = (0..400).map(|seed| Look::draw(&config, &Noise::new(seed))).collect();
+        let share = |has: fn(&Look) -> bool| looks.iter().filter(|look| has(look)).count() as f64 / 400.0;
+        let halves =
+            [share(|l| l.jpeg.is_some()), share(|l| l.blur > 0.0), share(|l| !l.distractors.is_empty())];
+        assert!(halves.iter().all(|s| (s - 0.5).abs() < 0.08), "{halves:?}");
+        assert!((share(|l| l.ground.is_some()) - 0.7).abs() < 0.08);
+        assert!(looks.iter().all(|l| (0.8..=1.2).contains(&l.obstacle_scale)));
+    }
+}

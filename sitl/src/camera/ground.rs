@@ -140,7 +140,8 @@ fn texture(edges: u32, rng: &mut ChaCha8Rng) -> [Vec<f32>; CHANNELS] {
         let [row, column] = [(); 2].map(|()| taps(rng.random_range(0..=spare), scale, coarse));
         for plane in &mut planes {
             let own = normals(coarse * coarse, rng);
-            let sum: Vec<f32> = brightness.iter().zip(own).map(|(b, c)| amplitude * (b + COLOUR * c)).collect();
+            let sum: Vec<f32> =
+                brightness.iter().zip(own).map(|(b, c)| amplitude * (b + COLOUR * c)).collect();
             add_enlarged(plane, &sum, coarse, &row, &column);
         }
     }

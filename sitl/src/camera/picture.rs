@@ -107,7 +107,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<Decoded, PictureError> {
     let channels = match info.pixel_format {
         jpeg_decoder::PixelFormat::L8 => 1,
         jpeg_decoder::PixelFormat::RGB24 => CHANNELS,
-        jpeg_decoder::PixelFormat::L16 | jpeg_decoder::PixelFormat::CMYK32 => return Err(PictureError::Pixels),
+        jpeg_decoder::PixelFormat::L16 | jpeg_decoder::PixelFormat::CMYK32 => {
+            return Err(PictureError::Pixels);
+        }
     };
     Ok(Decoded { width: info.width.into(), height: info.height.into(), channels, bytes })
 }

@@ -160,7 +160,9 @@ mod tests {
     fn what_is_out_of_range_is_told() {
         assert_eq!(Strength::between(0.0, 1.0).violation(0.0, 1.0), None);
         assert!(Strength::fixed(f64::NAN).violation(0.0, 1.0).is_some());
-        for bad in [Strength::fixed(2.0), Strength::between(1.0, 0.5), Strength { low: 0.0, high: 1.0, share: 2.0 }] {
+        for bad in
+            [Strength::fixed(2.0), Strength::between(1.0, 0.5), Strength { low: 0.0, high: 1.0, share: 2.0 }]
+        {
             assert!(bad.violation(0.0, 1.0).is_some(), "{bad:?}");
         }
     }
