@@ -9,6 +9,11 @@ pub const CHANNELS: usize = 3;
 /// Maximum number of obstacles that colours tell apart.
 pub const COLOURS: usize = OBSTACLE_CHANNELS.len();
 
+/// Pixels of the ground beyond each side of the frame.
+pub(super) const MARGIN: usize = 8;
+/// Pixels along each side of the ground.
+pub(super) const WIDE: usize = SIDE + 2 * MARGIN;
+
 pub(super) const RED: usize = 0;
 pub(super) const GREEN: usize = 1;
 pub(super) const BLUE: usize = 2;

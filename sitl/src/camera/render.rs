@@ -37,7 +37,7 @@ impl Frame {
 }
 
 /// A disc's coverage on the pixels around its centre, the part outside the frame left out.
-struct Disc {
+pub(super) struct Disc {
     left: i64,
     top: i64,
     side: usize,
@@ -47,7 +47,7 @@ struct Disc {
 impl Disc {
     /// Coverage c = clamp((R - |pixel - p|)/w + ½, 0, 1), scaled so that the whole disc sums to
     /// π(R² + w²/12), and clamped at 1. `centre` in paper units, `radius_px` and `edge_px` in px.
-    fn new(centre: Vector2<f64>, radius_px: f64, edge_px: f64) -> Self {
+    pub fn new(centre: Vector2<f64>, radius_px: f64, edge_px: f64) -> Self {
         let p = centre * SIDE as f64;
         let reach = (radius_px + edge_px / 2.0).ceil() as i64 + 1;
         let (column, row) = (p.x.floor() as i64, p.y.floor() as i64);
@@ -83,8 +83,15 @@ impl Disc {
         }
     }
 
+    /// Coverage at these columns of row `y`, all inside the disc's window.
+    pub fn row(&self, y: i64, columns: std::ops::Range<i64>) -> &[f64] {
+        let line = (y - self.top) as usize * self.side;
+        let [from, to] = [columns.start, columns.end].map(|x| line + (x - self.left) as usize);
+        &self.coverage[from..to]
+    }
+
     /// Columns and rows of the frame that the disc may touch.
-    fn window(&self) -> (std::ops::Range<i64>, std::ops::Range<i64>) {
+    pub fn window(&self) -> (std::ops::Range<i64>, std::ops::Range<i64>) {
         let clip = |low: i64| low.max(0)..(low + self.side as i64).min(SIDE as i64);
         (clip(self.left), clip(self.top))
     }

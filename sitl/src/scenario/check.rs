@@ -102,8 +102,8 @@ impl Scenario {
                 "must be another place than that of the obstacles before it".into()
             })?;
         }
-        if let Some((key, value, must)) = self.camera.effects.violation() {
-            check(&format!("camera.effects.{key}"), value, false, || must.into())?;
+        if let Some((key, value, must)) = self.camera.violation() {
+            return Err(ScenarioError::Range { key: format!("camera.{key}"), value, must });
         }
         self.is_free("start", self.start, |_| true)?;
         // One that moves can leave the goal before the UAV is there.
@@ -111,7 +111,7 @@ impl Scenario {
     }
 
     /// Everything in the paper's units of length and time.
-    fn lengths(&self) -> [Row; 20] {
+    fn lengths(&self) -> [Row; 19] {
         [
             ("start[0]", self.start.x, 0.0, 1.0),
             ("start[1]", self.start.y, 0.0, 1.0),
@@ -119,7 +119,6 @@ impl Scenario {
             ("goal[1]", self.goal.y, 0.0, 1.0),
             ("goal_radius", self.goal_radius, 1e-6, 2.0),
             ("uav_radius", self.uav_radius, 1e-3, 1.0),
-            ("camera.edge_px", self.camera.edge_px, 0.01, 100.0),
             ("dynamics.v_max", self.dynamics.v_max, 1e-6, 1.0),
             ("dynamics.a_max", self.dynamics.a_max, 1e-9, 1.0),
             ("disturbance.sigma_c", self.disturbance.sigma_c, 0.0, 10.0),

@@ -13,8 +13,7 @@ use std::path::Path;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-use crate::camera::Sizes;
-use crate::camera::effects::Effects;
+use crate::camera::{CameraConfig, Sizes};
 use crate::units::{Scale, TxPower};
 
 /// One flight's parameters. Lengths in the paper's units, times in control intervals.
@@ -54,7 +53,7 @@ pub struct Scenario {
     /// NED metres and seconds.
     pub scale: Scale,
     /// What the camera draws.
-    pub camera: Camera,
+    pub camera: CameraConfig,
     /// How the ground station tells place and speed from frames.
     pub observer: Observer,
     /// What the vehicle does when it hears nothing.
@@ -96,7 +95,7 @@ impl Default for Scenario {
             cost: Cost::default(),
             propulsion: Propulsion::default(),
             scale: Scale::default(),
-            camera: Camera::default(),
+            camera: CameraConfig::default(),
             observer: Observer::default(),
             failsafe: Failsafe::default(),
             autopilot: Autopilot::default(),
@@ -174,22 +173,6 @@ impl Disturbance {
     #[must_use]
     pub fn gust_std(&self) -> f64 {
         self.gust_scale * self.sigma_c
-    }
-}
-
-/// What the camera adds to geometry.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Camera {
-    /// w, width of a disc's soft rim, px (our choice).
-    pub edge_px: f64,
-    /// What lens, sensor and scene add to the clean frame; nothing by default.
-    pub effects: Effects,
-}
-
-impl Default for Camera {
-    fn default() -> Self {
-        Self { edge_px: 4.0, effects: Effects::default() }
     }
 }
 

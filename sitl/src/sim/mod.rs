@@ -10,8 +10,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use crate::camera::Frame;
-use crate::camera::effects::FrameId;
+use crate::camera::{Film, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
 use crate::scenario::{CollisionAction, Scenario};
@@ -41,7 +40,7 @@ pub struct Sim {
     scenario: Scenario,
     world: World,
     gate: Gate,
-    seed: u64,
+    film: Film,
     noise: Noise,
     tick: Tick,
     link: Option<LinkReport>,
@@ -57,7 +56,7 @@ impl Sim {
         Self {
             world: World::new(&scenario),
             gate: Gate::default(),
-            seed,
+            film: Film::new(&scenario.camera, seed),
             noise: Noise::new(seed),
             tick: Tick::default(),
             link: None,
@@ -208,9 +207,7 @@ impl Sim {
     /// The frame at the start of this tick.
     #[must_use]
     pub fn frame(&self) -> Frame {
-        let clean = self.world.frame(&self.scenario);
-        let id = FrameId { series: self.seed, frame: self.tick.0 };
-        self.scenario.camera.effects.apply(clean, id, &self.noise)
+        self.film.frame(self.tick, &self.world.poses(&self.scenario))
     }
 
     /// Report and frame together.

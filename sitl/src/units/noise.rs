@@ -28,6 +28,12 @@ pub enum Stream {
     Camera = 7,
     /// Random scenarios.
     Worlds = 8,
+    /// What the camera of a flight is like: colours, ground, strengths of its effects.
+    Look = 9,
+    /// Shake of the camera.
+    Shake = 10,
+    /// Noise of the pixels.
+    Grain = 11,
 }
 
 /// Words of the key stream set aside for each tick; a draw of two normals needs four, rarely more.

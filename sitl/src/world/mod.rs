@@ -12,7 +12,7 @@ pub mod safety;
 pub use crate::units::noise;
 use nalgebra::Vector2;
 
-use crate::camera::{self, Frame};
+use crate::camera::{self, Body, Frame, Poses};
 use crate::scenario::Scenario;
 use crate::units::{Snr, TxPower};
 use dynamics::State;
@@ -52,6 +52,17 @@ impl World {
     #[must_use]
     pub fn obstacles(&self) -> Obstacles {
         self.obstacles.iter().map(|o| o.r).collect()
+    }
+
+    /// What the camera sees of this world.
+    #[must_use]
+    pub fn poses(&self, scenario: &Scenario) -> Poses {
+        let body = |state: &State, radius| Body { position: state.r, velocity: state.v, radius };
+        let obstacles = self.obstacles.iter().zip(&scenario.obstacles);
+        Poses {
+            uav: body(&self.uav, scenario.uav_radius),
+            obstacles: obstacles.map(|(state, obstacle)| body(state, obstacle.radius)).collect(),
+        }
     }
 
     /// The clean frame of this world: discs on black, before any effect of the camera.
