@@ -7,6 +7,7 @@ pub mod card;
 pub mod checkpoint;
 pub mod config;
 pub mod dataset;
+pub mod exploration;
 pub mod recording;
 pub mod stages;
 
