@@ -18,7 +18,7 @@ fn main() {
     });
 
     let device = Backend::Flex.device().expect("flex is always built");
-    let weights = model.encoder.weights();
+    let weights = model.encoder.centroid().expect("the shipped encoder").weights();
     let encoder = module::EncoderModule::new(weights, &device);
     let frames = [frame];
     rate::rate("encode, burn-flex", "frames", 1, || {

@@ -10,9 +10,10 @@ use crpl_model::evaluation;
 use crpl_model::training::recipe::{self, Run};
 use crpl_model::training::{ablation_command, predictors};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::config::TrainConfig;
+use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
+use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_sitl::Scenario;
-use crpl_sitl::program::terminal;
+use crpl_sitl::program::{progress, terminal};
 use crpl_sitl::program::timing::Stopwatch;
 
 /// Train and evaluate CRPL's world model.
@@ -25,7 +26,7 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Fly random actions and write the episodes
+    /// Fly random actions and record the episodes
     Collect(Collect),
     /// Train the world model and write its checkpoint
     Train(Train),
@@ -109,12 +110,29 @@ fn main() -> ExitCode {
 
 fn collect(args: &Collect) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    if let Some(part) = &config.learned {
+        return record(&config, part, &args.out);
+    }
     let episodes = recipe::collect(&config, &Scenario::default());
     crpl_model::world_model::dataset::save(&episodes, &args.out)?;
     let path = args.out.join("config.toml");
     std::fs::write(&path, toml::to_string(&config)?)
         .with_context(|| format!("writing {}", path.display()))?;
     println!("{} episodes of {} actions in {}", episodes.len(), config.data.steps, args.out.display());
+    Ok(())
+}
+
+/// Exploratory flights as a recording.
+fn record(config: &TrainConfig, part: &LearnedTraining, out: &std::path::Path) -> anyhow::Result<()> {
+    let cameras = crpl_model::training::learned::recipe::cameras(&part.recording)?;
+    let bar = progress::bar("recording", part.recording.episodes as u64);
+    exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, out, || bar.inc(1))?;
+    bar.finish();
+    let path = out.join("config.toml");
+    std::fs::write(&path, toml::to_string(config)?)
+        .with_context(|| format!("writing {}", path.display()))?;
+    let ExplorationConfig { episodes, pictures, .. } = part.recording;
+    println!("{episodes} episodes of {pictures} pictures in {}", out.display());
     Ok(())
 }
 

@@ -145,7 +145,7 @@ fn burn_and_the_flight_path_see_the_same() {
         if cfg!(feature = "ndarray") { vec![Backend::Flex, Backend::Ndarray] } else { vec![Backend::Flex] };
     for backend in backends {
         let device = backend.device().unwrap();
-        let weights = model.encoder.weights();
+        let weights = model.encoder.centroid().expect("the shipped encoder").weights();
         let encoder = module::EncoderModule::new(weights, &device);
         let theirs = module::latents_of(&encoder, &weights.input, &device, &frames);
         let size = own.iter().flat_map(|l| l.z_c).fold(0.0f32, |m, v| m.max(v.abs()));

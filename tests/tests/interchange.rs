@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use crpl_model::encoder::frame_encoder::FrameEncoder;
 use crpl_model::encoder::weights::{Colour, LATENT};
 use crpl_model::numeric::tensors::{Writer, write_all};
 use crpl_model::predictor::linear::Half;
@@ -29,9 +30,9 @@ fn pytorch_and_onnx_runtime_compute_what_we_compute() {
 #[test]
 fn so_they_do_behind_a_colour_layer() {
     let mut model = WorldModel::embedded().unwrap();
-    let mut weights = model.encoder.weights().clone();
+    let mut weights = model.encoder.centroid().expect("the shipped encoder").weights().clone();
     weights.input.colour = Some(Colour { w: [[1.0, -0.03, -0.04], [0.06, -0.03, 1.0]], b: [-0.1, -0.08] });
-    model.encoder = crpl_model::encoder::infer::Encoder::new(weights);
+    model.encoder = FrameEncoder::Centroid(crpl_model::encoder::infer::Encoder::new(weights));
     agrees(&model);
 }
 

@@ -253,7 +253,7 @@ pub fn measure(
     let mut rng = noise.generator(Stream::Evaluation, 20);
     let scenes: Vec<Scene> = (0..count).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
     let numbered: Vec<usize> = (0..count).collect();
-    let latents = model.encoder.encode_all(&numbered, |&n| {
+    let latents = model.encode_all(&numbered, |&n| {
         let id = FrameId { series: n as u64, frame: 0 };
         cameras.apply(scenes[n].frame(scenario), id)
     });

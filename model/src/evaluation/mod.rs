@@ -8,6 +8,7 @@ pub mod chart;
 pub mod command;
 pub mod diagnostics;
 pub mod figures;
+pub mod hard;
 pub mod report;
 pub mod robustness;
 pub mod rollout;
@@ -50,7 +51,7 @@ pub fn measure(
     let [given, anywhere] = [BaseStation::Given, BaseStation::Anywhere].map(|station| {
         let mut rng = noise.generator(Stream::Evaluation, 1);
         let scenes = labels::sample(config.frames, station, scenario, &mut rng);
-        let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
+        let seen = model.encode_all(&scenes, |(s, _)| s.frame(scenario));
         let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
         let last: Vec<_> =
             episodes.iter().map(|e| (last_scene(e), station.draw(scenario, &mut rng))).collect();
@@ -67,6 +68,7 @@ pub fn measure(
         heads_anywhere: anywhere[0],
         heads_anywhere_after_rollout: anywhere[1],
         label_free,
+        learned: None,
     }
 }
 
@@ -108,7 +110,7 @@ struct DecodeSamples {
 fn decoded(model: &WorldModel, count: usize, scenario: &Scenario, noise: &Noise) -> DecodeSamples {
     let mut rng = noise.generator(Stream::Evaluation, 0);
     let scenes: Vec<Scene> = (0..count).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
-    let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
+    let latents = model.encode_all(&scenes, |s| s.frame(scenario));
     let px = SIDE as f64;
     let l1 = |a: Vector2<f64>, b: Vector2<f64>| px * (a - b).abs().sum();
     let reach = scenario.obstacle().radius + scenario.uav_radius + scenario.camera.edge_px / px;
@@ -143,7 +145,7 @@ fn rollouts(
     scenario: &Scenario,
     noise: &Noise,
 ) -> (RolloutMetrics, Vec<Ends>) {
-    let starts = model.encoder.encode_all(episodes, |e| e.frame(1, scenario));
+    let starts = model.encode_all(episodes, |e| e.frame(1, scenario));
     let mut other: Vec<usize> = (0..episodes.len()).collect();
     other.shuffle(&mut noise.generator(Stream::Evaluation, 2));
     let px = SIDE as f64;

@@ -238,7 +238,7 @@ fn heads_report(
     let floor = model.card.config.heads.distance_floor;
     let mut rng = noise.generator(Stream::Evaluation, 11);
     let scenes = labels::sample(frames, BaseStation::Anywhere, scenario, &mut rng);
-    let seen = model.encoder.encode_all(&scenes, |(s, _)| s.frame(scenario));
+    let seen = model.encode_all(&scenes, |(s, _)| s.frame(scenario));
     let seen: Vec<_> = seen.iter().map(|l| (vector(model.y_c(l)), vector(model.y_u(l)))).collect();
     let frames = judged(model, &scenes, &seen, scenario, floor);
 
@@ -331,7 +331,7 @@ fn actions(model: &WorldModel, trajectories: &[Trajectory], known: &[Known], noi
 fn rank(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -> Rank {
     let mut rng = noise.generator(Stream::Evaluation, 13);
     let scenes: Vec<Scene> = (0..frames).map(|_| labels::uniform_scene(scenario, &mut rng)).collect();
-    let latents = model.encoder.encode_all(&scenes, |s| s.frame(scenario));
+    let latents = model.encode_all(&scenes, |s| s.frame(scenario));
     let (c, u): (Vec<_>, Vec<_>) = latents.iter().map(|l| (l.z_c, l.z_u)).unzip();
     Rank { z_c: effective_rank(&covariance(&c)), z_u: effective_rank(&covariance(&u)) }
 }

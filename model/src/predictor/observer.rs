@@ -60,6 +60,9 @@ const POOR: f64 = 16.0;
 /// Squared Mahalanobis distance beyond which the window breaks: 25 standard deviations, 0.8 px.
 const BREAK: f64 = 625.0;
 
+/// Longest step in an interval that two readings of one body may be apart where no limit is known, units.
+const FASTEST: f64 = 0.05;
+
 /// Missing frames after which earlier frames are dropped.
 const LONGEST_GAP: usize = 50;
 
@@ -80,6 +83,9 @@ pub struct MotionModel {
     pub noise: f64,
     /// Standard deviation of the speed's disturbance in an interval and axis, latent units.
     pub gust: f64,
+    /// Whether a frame may show the half somewhere else altogether: then one frame alone breaks no window, but two
+    /// that agree.
+    pub lost: bool,
 }
 
 impl MotionModel {
@@ -87,7 +93,7 @@ impl MotionModel {
     /// `gust`, the standard deviation of a gust, in units per interval.
     #[must_use]
     pub fn new(predictor: Predictor, scale: f64, v_max: f64, gust: f64) -> Self {
-        Self { predictor, reach: scale * v_max, noise: scale * FRAME_NOISE, gust: scale * gust }
+        Self { predictor, reach: scale * v_max, noise: scale * FRAME_NOISE, gust: scale * gust, lost: false }
     }
 
     /// One step of (y, y - y_before) under an action, and its Jacobian.
@@ -175,14 +181,23 @@ impl LatentObserver {
         }
         let mut filter: Option<Filter> = None;
         let mut before: Option<(usize, LatentReading)> = None;
+        let mut odd: Option<(usize, LatentReading)> = None;
         for (k, interval) in self.last.iter().enumerate() {
             if let Some(filter) = &mut filter {
                 filter.predict(&self.motion, interval.flown);
             }
             let Some(seen) = interval.seen else { continue };
             let fits = filter.as_mut().is_some_and(|f| f.update(seen.y, self.noise(seen)));
-            if !fits {
+            if fits {
+                odd = None;
+            } else if !self.motion.lost || filter.is_none() {
                 filter = Some(self.anew(before, k, seen));
+            } else if odd.is_some_and(|other| self.agree(other, (k, seen))) {
+                // Two frames in a row against what was predicted: a wall, or what came before was lost.
+                filter = Some(self.anew(odd.take(), k, seen));
+            } else {
+                odd = Some((k, seen));
+                continue;
             }
             before = Some((k, seen));
         }
@@ -201,6 +216,13 @@ impl LatentObserver {
         }
         filter.correct(seen.y, self.noise(seen));
         filter
+    }
+
+    /// Whether a body can have moved from one reading to the other.
+    fn agree(&self, (since, first): (usize, LatentReading), (k, seen): (usize, LatentReading)) -> bool {
+        let step = self.motion.reach.min(FASTEST * self.motion.noise / FRAME_NOISE);
+        let errors = self.noise(first) + self.noise(seen);
+        (seen.y - first.y).norm() <= step * (k - since) as f64 + POOR.sqrt() * errors
     }
 
     /// Standard deviation of a frame's coordinate, latent units.
@@ -426,6 +448,43 @@ mod tests {
         let off = (observer.estimate().unwrap().v - truth(&flight).v).norm();
         // Two frames around it would be wrong by 15 standard deviations.
         assert!(off < 0.5 * SCALE * FRAME_NOISE, "off by {off}");
+    }
+
+    #[test]
+    fn a_frame_that_shows_the_body_elsewhere_breaks_nothing_where_bodies_are_lost() {
+        let mut rng = Noise::new(6).generator(Stream::Evaluation, 1);
+        let lost = MotionModel { lost: true, ..motion(0.0) };
+        let flight = flight(&lost, 25, 0.0, &mut rng);
+        let watch = |motion: &MotionModel, gone: &[usize]| {
+            let mut observer = LatentObserver::new(motion.clone(), 20);
+            for (k, (y, a)) in flight.iter().enumerate() {
+                let wrong = if gone.contains(&k) { 4.0 + k as f64 } else { 0.0 };
+                observer.observe(y + Vector2::new(wrong, -wrong), &[*a]);
+            }
+            apart(observer.estimate().unwrap(), truth(&flight))
+        };
+        for gone in [&[15][..], &[25], &[12, 13, 19], &[6, 20]] {
+            let off = watch(&lost, gone);
+            assert!(off < 1e-3, "lost in {gone:?}: off by {off}");
+        }
+        assert!(watch(&motion(0.0), &[25]) > 1.0, "the clean drawing loses no body");
+    }
+
+    #[test]
+    fn where_bodies_are_lost_two_frames_tell_of_a_wall() {
+        let motion = MotionModel { lost: true, ..motion(0.0) };
+        let mut observer = LatentObserver::new(motion.clone(), 20);
+        let mut state = Vector4::new(-4.0, 0.0, 0.3, 0.0);
+        for _ in 0..10 {
+            state = motion.step(&state, Vector2::zeros()).0;
+            observer.observe(state.fixed_rows::<2>(0).into_owned(), &[Vector2::zeros()]);
+        }
+        let wall = state.fixed_rows::<2>(0).into_owned();
+        for _ in 0..4 {
+            observer.observe(wall, &[Vector2::zeros()]);
+        }
+        let found = observer.estimate().unwrap();
+        assert!(found.v.norm() < 1e-6 && (found.y - wall).norm() < 1e-6, "{found:?}");
     }
 
     #[test]

@@ -126,7 +126,7 @@ const TRAINING_EPISODES: u64 = 20;
 fn encode(model: &WorldModel, episodes: Vec<Episode>, scenario: &Scenario) -> LatentEpisodes {
     let frames: Vec<(usize, usize)> =
         (0..episodes.len()).flat_map(|n| (1..episodes[n].uav.len()).map(move |k| (n, k))).collect();
-    let latents = model.encoder.encode_all(&frames, |&(n, k)| episodes[n].frame(k, scenario));
+    let latents = model.encode_all(&frames, |&(n, k)| episodes[n].frame(k, scenario));
     let y: Vec<_> = latents.iter().map(|l| vector(model.y_c(l))).collect();
     let length = episodes.first().map_or(1, |e| e.uav.len() - 1);
     LatentEpisodes {

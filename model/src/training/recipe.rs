@@ -13,6 +13,7 @@ use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 
+use crate::encoder::frame_encoder::FrameEncoder;
 use crate::encoder::infer::Encoder;
 use crate::encoder::module::{Backend, NoBackend};
 use crate::encoder::probe::Probe;
@@ -29,6 +30,7 @@ use crate::training::cache::{self, CacheError, StageCache};
 use crate::training::closed_form::FitError;
 use crate::training::fitting::{self, Planes, TrainContext, TrainData};
 use crate::training::gradient::{self, GradientError};
+use crate::training::learned::{self, LearnedError};
 use crate::training::predictors::{self, Trained};
 use crate::world_model::card::{Card, FitCheck};
 use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
@@ -36,6 +38,7 @@ use crate::world_model::config::{ConfigError, DataConfig, TrainConfig};
 use crate::world_model::dataset::{self, Episode, EpisodeStart, Triple};
 use crate::world_model::stages::Init;
 use crate::world_model::{WorldModel, plane};
+use crpl_sitl::camera::cases::CameraError;
 use crpl_sitl::camera::effects::CameraSet;
 
 /// Why training stopped.
@@ -68,6 +71,15 @@ pub enum TrainError {
     /// The backend is not in this build.
     #[error(transparent)]
     Backend(#[from] NoBackend),
+    /// The learned encoder stopped.
+    #[error(transparent)]
+    Learned(#[from] LearnedError),
+    /// A camera of the recording is unknown.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// Nothing tells the distance at which the bodies touch.
+    #[error("the recording holds no contact of UAV and obstacle beside pictures without one: the risk head needs both")]
+    Contacts,
     /// The model is not fit to ship.
     #[error("the model does not ship: {alarms}; it stands in {dir} to be looked at")]
     Alarms {
@@ -117,6 +129,9 @@ pub fn collect(config: &TrainConfig, scenario: &Scenario) -> Vec<Episode> {
 /// [`TrainError::Alarms`] if the model is not fit to ship; else if a stage or a file fails.
 pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics), TrainError> {
     config.check()?;
+    if let Some(part) = &config.learned {
+        return learned::recipe::train(config, part, run);
+    }
     let revision = crate::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
@@ -344,6 +359,7 @@ fn assemble(
     let card = Card { format: FORMAT.into(), config: context.config.clone(), ..Card::default() };
     let scale = context.config.encoder.scale;
     let predictor = Predictor::Linear(linear.controllable(&plane(&plane_c)));
+    let encoder = FrameEncoder::Centroid(encoder);
     WorldModel { encoder, plane_c, plane_u, scale, linear, predictor, heads, probe, card }
 }
 
@@ -357,12 +373,12 @@ fn look_at(model: &WorldModel, context: &TrainContext<'_>, check: Option<FitChec
     diagnostics::measure(model, sizes, &cameras, context.data.scenario, noise, eigenvalue)
 }
 
-fn in_words(alarms: &[CollapseCheck]) -> String {
+pub(crate) fn in_words(alarms: &[CollapseCheck]) -> String {
     alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// The card for people.
-fn card_text(
+pub(crate) fn card_text(
     model: &WorldModel,
     diagnostics: &Diagnostics,
     alarms: &[CollapseCheck],
@@ -388,7 +404,7 @@ fn card_text(
          | method | {} |\n\
          | time | {wall:.0} s wall, {cpu:.0} s CPU |\n\n\
          Measured on held-out frames (l1 errors, 1 px = 0.01 unit):\n\n```text\n{}{}```\n",
-        model.encoder.weights().parameters(),
+        model.encoder.parameters(),
         config.seed,
         revision,
         data.episodes,

@@ -37,6 +37,23 @@ pub struct WorldMetrics {
     pub heads_anywhere_after_rollout: HeadMetrics,
     /// Quality of the closed form, without labels.
     pub label_free: FitCheck,
+    /// What the learned encoder's training found, without labels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learned: Option<LearnedCheck>,
+}
+
+/// What a training on a recording found, without labels.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearnedCheck {
+    /// |Ψ - (2I, -I)| with the ridge, on the planes.
+    pub psi_off: f64,
+    /// The same without the ridge.
+    pub psi_off_free: f64,
+    /// Distance of the centres at which the bodies touch, by the contacts, px.
+    pub touch_px: f64,
+    /// Episodes of the recording.
+    pub episodes: usize,
 }
 
 /// Errors of the positions decoded from the latents, l1, px; share of variance leaked.

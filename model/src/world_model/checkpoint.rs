@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use crpl_sitl::program::files;
 
-use crate::encoder::infer::Encoder;
 use crate::encoder::weights::LATENT;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer};
 use crate::predictor::linear::Linear;
@@ -118,7 +117,7 @@ pub fn fingerprint(model: &WorldModel) -> Result<String, TensorError> {
 
 fn bytes(model: &WorldModel) -> Result<Vec<u8>, TensorError> {
     let mut out = Writer::default();
-    model.encoder.weights().put(&mut out);
+    model.encoder.put(&mut out);
     out.f32("plane_c", &[LATENT, 2], model.plane_c.into_iter().flatten());
     out.f32("plane_u", &[LATENT, 2], model.plane_u.into_iter().flatten());
     out.f64("scale", &[1], [model.scale]);
@@ -143,7 +142,7 @@ fn parse(tensors: &[u8], config: &[u8], dir: &Path) -> Result<WorldModel, Checkp
     };
     let (plane_c, linear) = (columns("plane_c")?, Linear::get(&from)?);
     Ok(WorldModel {
-        encoder: Encoder::new(Stored::get(&from)?),
+        encoder: Stored::get(&from)?,
         plane_c,
         plane_u: columns("plane_u")?,
         scale: from.f64("scale", &[1])?[0],

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::heads::labels::HeadsConfig;
 use crate::predictor::{NetworksConfig, PredictorKind};
+use crate::training::learned::config::LearnedConfig;
+use crate::world_model::exploration::ExplorationConfig;
 use crate::world_model::stages::{Layers, Stages};
 use crpl_sitl::camera::effects::Effects;
 use crpl_sitl::world::noise::Noise;
@@ -46,6 +48,19 @@ pub struct TrainConfig {
     pub evaluation: EvaluationConfig,
     /// What a model must keep to be shipped.
     pub alarms: AlarmLimits,
+    /// The learned encoder; with it the keys of the hand-set one play no part.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learned: Option<LearnedTraining>,
+}
+
+/// The learned encoder's part of a training.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnedTraining {
+    /// What is recorded where no recording is given.
+    pub recording: ExplorationConfig,
+    /// The encoder.
+    pub encoder: LearnedConfig,
 }
 
 impl Default for TrainConfig {
@@ -66,6 +81,7 @@ impl Default for TrainConfig {
             heads: HeadsConfig::default(),
             evaluation: EvaluationConfig::default(),
             alarms: AlarmLimits::default(),
+            learned: None,
         }
     }
 }

@@ -42,6 +42,8 @@ pub struct ExplorationConfig {
     pub still: f64,
     /// Standard deviation of the measured SNR's error, dB.
     pub snr_noise_db: f64,
+    /// Share of the episodes whose base station stands anywhere; else it is the scenario's.
+    pub other_stations: f64,
 }
 
 impl Default for ExplorationConfig {
@@ -54,6 +56,7 @@ impl Default for ExplorationConfig {
             rest: 0.3,
             still: 0.3,
             snr_noise_db: 0.5,
+            other_stations: 0.25,
         }
     }
 }
@@ -138,8 +141,13 @@ pub fn record(
     let explorer = Explorer::new(&scenario);
     let power = if rng.random() { TxPower::Low } else { TxPower::High };
 
-    let mut episode =
-        RecordedEpisode { frames: vec![], actions: vec![], steps: vec![], a_max: scenario.dynamics.a_max };
+    let mut episode = RecordedEpisode {
+        frames: vec![],
+        actions: vec![],
+        steps: vec![],
+        a_max: scenario.dynamics.a_max,
+        base_station: Some(scenario.channel.base_station),
+    };
     let mut truth = Truth::default();
     for k in 0..config.pictures {
         let telemetry = sim.telemetry();
@@ -154,6 +162,7 @@ pub fn record(
             snr_db: snr as f32,
             power: power.level() as f32,
             outage: telemetry.link.is_some_and(|link| link.outage),
+            contact: sim.contact().obstacle.is_some(),
         });
         if k + 1 == config.pictures {
             break;
@@ -177,6 +186,10 @@ fn drawn(config: &ExplorationConfig, base: &Scenario, rng: &mut impl Rng) -> Sce
         start[axis] = if rng.random() { depth } else { 1.0 - depth };
     }
     scenario.start = start;
+    let anywhere = Vector2::new(rng.random(), rng.random());
+    if rng.random::<f64>() < config.other_stations {
+        scenario.channel.base_station = anywhere;
+    }
     let Obstacle { margin, radius, .. } = base.obstacles.first().cloned().unwrap_or_default();
     let place = Vector2::from_fn(|_, _| margin + (1.0 - 2.0 * margin) * rng.random::<f64>());
     let stands = rng.random::<f64>() < config.still;

@@ -14,22 +14,23 @@ pub mod stages;
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
-use crate::encoder::infer::Encoder;
+use crate::encoder::frame_encoder::{FrameEncoder, LatentPlanes};
 pub use crate::encoder::infer::Latent;
 pub use crate::encoder::probe::{Affine, Probe};
 use crate::encoder::weights::{LATENT, on_plane, vector};
 pub use crate::heads::networks::{Heads, StationHeads};
 use crate::predictor::Predictor;
 use crate::predictor::linear::{Linear, Plane, PlaneLinear};
-use crate::predictor::observer::{self, LatentReading, MotionModel};
+use crate::predictor::observer::{LatentReading, MotionModel};
 use crate::world_model::card::Card;
 
 /// Everything that was learned of the world.
 #[derive(Debug, Clone)]
 pub struct WorldModel {
     /// Frame to latents.
-    pub encoder: Encoder,
+    pub encoder: FrameEncoder,
     /// E_c `[16][2]`, orthonormal columns: z_c = E_c y_c.
     pub plane_c: [[f32; 2]; LATENT],
     /// E_u `[16][2]`, orthonormal columns: z_u = E_u y_u.
@@ -52,16 +53,24 @@ impl WorldModel {
     /// z_c and z_u of one frame.
     #[must_use]
     pub fn encode(&self, frame: &Frame) -> Latent {
-        self.encoder.encode(frame)
+        self.encoder.encode(frame, &self.planes(), self.scale)
     }
 
     /// What the observer reads of one frame: y_c and y_u, each with its sigma_scale.
     #[must_use]
     pub fn see(&self, frame: &Frame) -> [LatentReading; 2] {
-        let features = self.encoder.features(frame);
-        let sigma_scale = observer::sigma_scale(features.missing[0]);
-        let latent = self.encoder.read(features);
-        [LatentReading { y: vector(self.y_c(&latent)), sigma_scale }, vector(self.y_u(&latent)).into()]
+        self.encoder.see(frame, &self.planes(), self.scale)
+    }
+
+    /// The latents of many frames, drawn and encoded on all cores; order and bits as one by one.
+    #[must_use]
+    pub fn encode_all<T: Sync>(&self, scenes: &[T], draw: impl Fn(&T) -> Frame + Sync) -> Vec<Latent> {
+        scenes.par_iter().map(|scene| self.encode(&draw(scene))).collect()
+    }
+
+    /// E_c and E_u.
+    fn planes(&self) -> LatentPlanes {
+        [self.plane_c, self.plane_u]
     }
 
     /// y_c = E_c' z_c.
@@ -102,9 +111,10 @@ impl WorldModel {
         // The probe's matrix is units per latent unit.
         let scale_u = 1.0 / (self.probe.u.matrix.norm() / std::f64::consts::SQRT_2).max(1e-9);
         let uncontrollable = Predictor::Linear(self.uncontrollable());
+        let lost = self.encoder.learned().is_some();
         [
-            MotionModel::new(self.predictor.clone(), self.scale, v_max, gust_std),
-            MotionModel::new(uncontrollable, scale_u, f64::INFINITY, 0.0),
+            MotionModel { lost, ..MotionModel::new(self.predictor.clone(), self.scale, v_max, gust_std) },
+            MotionModel { lost, ..MotionModel::new(uncontrollable, scale_u, f64::INFINITY, 0.0) },
         ]
     }
 

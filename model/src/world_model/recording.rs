@@ -10,11 +10,13 @@
 //! | `snr_db` | f32 `[n]` | measured SNR at the picture's time, dB; NaN where none was measured |
 //! | `power` | f32 `[n]` | transmit power at that time, the paper's unit; the gain is `snr_db` less its decibels |
 //! | `outage` | u8 `[n]` | 1 where the interval before the picture was an outage |
+//! | `contact` | u8 `[n]` | 1 where the UAV touched the obstacle in the interval before the picture |
 //! | `time_s` | f64 `[n]` | time stamps, s |
 //!
-//! and in its metadata `format` = `crpl-recording/1` and `a_max` in sides of the picture per interval².
+//! and in its metadata `format` = `crpl-recording/1`, `a_max` in sides of the picture per interval², and, where it is
+//! known, `base_station` = `x,y` in sides of the picture.
 //! Instead of such a file an episode may be a folder `episode-00000` with `a_max.txt`, `steps.csv` (columns
-//! `frame,time_s,action_x,action_y,snr_db,power,outage`) and pictures `00000.png` and so on, 100x100 RGB.
+//! `frame,time_s,action_x,action_y,snr_db,power,outage,contact`) and pictures `00000.png` and so on, 100x100 RGB.
 //!
 //! Where the true positions are known they are in `truth/episode-00000.safetensors` (`uav`, `obstacle` f64
 //! `[n, 2]`, picture sides). Evaluation alone opens that folder.
@@ -55,6 +57,8 @@ pub struct Step {
     pub power: f32,
     /// Whether the interval before was an outage.
     pub outage: bool,
+    /// Whether the UAV touched the obstacle in the interval before.
+    pub contact: bool,
 }
 
 /// One episode in memory.
@@ -68,6 +72,8 @@ pub struct RecordedEpisode {
     pub steps: Vec<Step>,
     /// a_max, picture sides per interval².
     pub a_max: f64,
+    /// The base station, picture sides, where it is known.
+    pub base_station: Option<Vector2<f64>>,
 }
 
 /// True positions of an episode, picture sides: for evaluation.
@@ -99,11 +105,15 @@ impl RecordedEpisode {
         out.f32("snr_db", &[n], self.steps.iter().map(|s| s.snr_db));
         out.f32("power", &[n], self.steps.iter().map(|s| s.power));
         out.u8("outage", &[n], self.steps.iter().map(|s| u8::from(s.outage)));
+        out.u8("contact", &[n], self.steps.iter().map(|s| u8::from(s.contact)));
         out.f64("time_s", &[n], self.steps.iter().map(|s| s.time_s));
-        let about = HashMap::from([
+        let mut about = HashMap::from([
             ("format".to_owned(), RECORDING_FORMAT.to_owned()),
             ("a_max".to_owned(), format!("{}", self.a_max)),
         ]);
+        if let Some(s) = self.base_station {
+            about.insert("base_station".to_owned(), format!("{},{}", s.x, s.y));
+        }
         write_all(&path, &out.bytes_about(Some(about))?)
     }
 }
@@ -157,6 +167,8 @@ pub struct EpisodeIndex {
     pub actions: Vec<Vector2<f32>>,
     /// Radio and time at each picture.
     pub steps: Vec<Step>,
+    /// The base station, picture sides, where it is known.
+    pub base_station: Option<Vector2<f64>>,
 }
 
 impl EpisodeIndex {
@@ -239,6 +251,19 @@ impl Recording {
         }
     }
 
+    /// Where the base station stood in most episodes.
+    #[must_use]
+    pub fn usual_station(&self) -> Option<Vector2<f64>> {
+        let mut counts: Vec<(Option<Vector2<f64>>, usize)> = Vec::new();
+        for episode in &self.episodes {
+            match counts.iter_mut().find(|(station, _)| *station == episode.base_station) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((episode.base_station, 1)),
+            }
+        }
+        counts.into_iter().max_by_key(|(_, count)| *count).and_then(|(station, _)| station)
+    }
+
     /// The episodes.
     #[must_use]
     pub fn episodes(&self) -> &[EpisodeIndex] {
@@ -260,6 +285,14 @@ fn read_episode(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
     if !(a_max.is_finite() && a_max > 0.0) {
         return Err(wrong(format!("a_max is {a_max}")));
     }
+    let base_station = match about.get("base_station") {
+        None => None,
+        Some(text) => {
+            let place = text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
+            let (x, y) = place.ok_or_else(|| wrong(format!("base_station is `{text}`, expected `x,y`")))?;
+            Some(Vector2::<f64>::new(x, y))
+        }
+    };
     let n = from.shape("frames")?.first().copied().unwrap_or(0);
     if n < 3 {
         return Err(wrong(format!("{n} pictures; an episode has at least 3")));
@@ -268,11 +301,17 @@ fn read_episode(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
     let actions = from.f32("actions", &[n - 1, 2])?;
     let snr = from.f32_or_nan("snr_db", &[n])?;
     let (power, outage) = (from.f32("power", &[n])?, from.u8("outage", &[n])?);
-    let time = from.f64("time_s", &[n])?;
-    let step = |k: usize| Step { time_s: time[k], snr_db: snr[k], power: power[k], outage: outage[k] != 0 };
+    let (time, contact) = (from.f64("time_s", &[n])?, from.u8("contact", &[n])?);
+    let step = |k: usize| Step {
+        time_s: time[k],
+        snr_db: snr[k],
+        power: power[k],
+        outage: outage[k] != 0,
+        contact: contact[k] != 0,
+    };
     let actions = actions.chunks_exact(2).map(|a| Vector2::new(a[0], a[1])).collect();
     let steps = (0..n).map(step).collect();
-    Ok((EpisodeIndex { path: path.into(), begin: begin as u64, actions, steps }, a_max))
+    Ok((EpisodeIndex { path: path.into(), begin: begin as u64, actions, steps, base_station }, a_max))
 }
 
 #[cfg(test)]
@@ -287,9 +326,16 @@ mod tests {
             frames: (0..6).map(picture).collect(),
             actions: (0..5).map(|k| Vector2::new(k as f32 * 0.1, -0.2)).collect(),
             steps: (0..6)
-                .map(|k| Step { time_s: 0.05 * f64::from(k), snr_db: 9.0 + k as f32, power: 4.0, outage: k == 2 })
+                .map(|k| Step {
+                    time_s: 0.05 * f64::from(k),
+                    snr_db: 9.0 + k as f32,
+                    power: 4.0,
+                    outage: k == 2,
+                    contact: k == 3,
+                })
                 .collect(),
             a_max: 3.5e-3,
+            base_station: Some(Vector2::new(0.5, 0.05)),
         }
     }
 
@@ -303,6 +349,7 @@ mod tests {
         let read = Recording::open(dir.path(), None).unwrap();
         assert_eq!((read.episodes().len(), read.a_max), (2, 3.5e-3));
         let (first, other) = (&read.episodes()[0], &read.episodes()[1]);
+        assert_eq!(first.base_station, episode().base_station);
         assert_eq!((&first.actions, &first.steps), (&episode().actions, &episode().steps));
         assert_eq!(first.frame(4).unwrap(), episode().frames[4]);
         assert!((first.gain_db(3).unwrap() - (12.0 - 6.0206)).abs() < 1e-4);

@@ -8,7 +8,10 @@
 //! Trained from random weights on recorded pictures and actions (`training::learned`). Knows frames, no
 //! positions.
 
+#[cfg(feature = "train")]
+pub mod module;
 pub mod network;
+pub mod noise;
 pub mod readout;
 pub mod weights;
 

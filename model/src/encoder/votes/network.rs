@@ -275,56 +275,6 @@ mod tests {
         activations
     }
 
-    fn loss(votes: &Votes, by: &VotesGradient, at: &Votes) -> f64 {
-        let mut sum = 0.0;
-        for body in 0..BODIES {
-            for axis in 0..2 {
-                sum += f64::from(by.p[body][axis]) * f64::from(votes.p[body][axis]);
-            }
-            // The spread is taken around the still p.
-            let shift: f32 = (0..2).map(|k| (votes.p[body][k] - at.p[body][k]).powi(2)).sum();
-            sum += f64::from(by.spread[body]) * f64::from(votes.spread[body] + shift);
-        }
-        sum
-    }
-
-    #[test]
-    fn the_gradient_is_that_of_differences() {
-        // Positive weights on positive pixels: no unit is near the LeakyReLU's kink, which a difference would cross.
-        let mut weights = VoteWeights::random(&Noise::new(4));
-        for layer in &mut weights.trunk {
-            let inputs = (layer.w.len() / layer.b.len()) as f32;
-            layer.w.iter_mut().for_each(|w| *w = w.abs() / inputs.sqrt());
-        }
-        let by = VotesGradient { p: [[0.3, -0.2], [0.1, 0.25]], spread: [0.002, -0.003] };
-        let encoder = VoteEncoder::new(weights.clone());
-        let mut activations = scene();
-        let at = encoder.forward(&mut activations);
-        let mut gradient = VoteGradient::default();
-        encoder.backward(&activations, &by, &mut Scratch::default(), &mut gradient);
-        let gradient = gradient.unpacked();
-        for layer in 0..=DEPTH {
-            for bias in [false, true] {
-                let part = 2 * layer + usize::from(bias);
-                let length = gradient.parts()[part].len();
-                for at_k in [0, length / 3, length / 2, length - 1] {
-                    let moved = |step: f32| {
-                        let mut weights = weights.clone();
-                        weights.parts_mut()[part][at_k] += step;
-                        loss(&VoteEncoder::new(weights).forward(&mut scene()), &by, &at)
-                    };
-                    let step = 2e-3;
-                    let wanted = (moved(step) - moved(-step)) / (2.0 * f64::from(step));
-                    let found = f64::from(gradient.parts()[part][at_k]);
-                    assert!(
-                        (found - wanted).abs() < 0.02 * (wanted.abs() + 0.2),
-                        "layer {layer}, bias {bias}, {at_k}: {found} instead of {wanted}"
-                    );
-                }
-            }
-        }
-    }
-
     #[test]
     fn the_cells_borders_stay_zero_from_frame_to_frame() {
         let encoder = VoteEncoder::new(VoteWeights::random(&Noise::new(4)));

@@ -193,7 +193,9 @@ pub fn draw(
         .flat_map(|m| triples.iter().map(move |t| (&episodes[t.episode], t.first + m * t.lag)))
         .collect();
     let frames = places.par_iter().map(|(e, k)| e.frame(*k)).collect::<Result<_, _>>()?;
-    let gains_db = places.iter().map(|(e, k)| e.gain_db(*k)).collect();
+    // The gain's network knows one base station alone.
+    let station = recording.usual_station();
+    let gains_db = places.iter().map(|(e, k)| e.gain_db(*k).filter(|_| e.base_station == station)).collect();
     Ok(Drawn { triples, long: config.triples, frames, flips, views, responses, gains_db })
 }
 

@@ -7,6 +7,9 @@
 pub mod batch;
 pub mod config;
 pub mod loss;
+pub mod readings;
+#[cfg(feature = "train")]
+pub mod recipe;
 pub mod teacher;
 
 use std::path::Path;
