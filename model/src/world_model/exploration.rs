@@ -49,7 +49,7 @@ pub struct ExplorationConfig {
 impl Default for ExplorationConfig {
     fn default() -> Self {
         Self {
-            episodes: 600,
+            episodes: 720,
             pictures: 102,
             cameras: vec![("clean".into(), 0.2), ("hard".into(), 0.8)],
             edge: 0.25,

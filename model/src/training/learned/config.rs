@@ -143,7 +143,7 @@ impl Default for AugmentConfig {
 impl Default for LearnedConfig {
     fn default() -> Self {
         Self {
-            steps: 4000,
+            steps: 10_000,
             triples: 16,
             long: [10, 48],
             short: [4, 12],
