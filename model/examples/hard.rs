@@ -1,22 +1,21 @@
-//! Scratch: the hard table of a bare encoder.
-use crpl_model::encoder::frame_encoder::*;
-use crpl_model::encoder::probe::*;
-use crpl_model::encoder::votes::*;
+//! Scratch.
 use crpl_model::world_model::WorldModel;
-use crpl_sitl::world::noise::Noise;
+use crpl_sitl::world::safety;
 use nalgebra::*;
 fn main() {
-    let mut model = WorldModel::embedded().unwrap();
-    if let Some(path) = std::env::args().nth(1) {
-        let w = crpl_model::training::learned::load_encoder(std::path::Path::new(&path)).unwrap();
-        model.encoder = FrameEncoder::Learned(LearnedSight { encoder: VoteEncoder::new(w), noise: Default::default() });
-        let a = Affine { matrix: Matrix2::identity() / model.scale, offset: Vector2::repeat(0.5) };
-        model.probe = Probe { c: a, u: a };
+    let s = crpl_sitl::Scenario::default();
+    for path in [None, std::env::args().nth(1)] {
+        let model = match &path { None => WorldModel::embedded().unwrap(), Some(p) => WorldModel::load(std::path::Path::new(p)).unwrap() };
+        println!("{:?} {:?} {:?}", path, model.controllable(), model.uncontrollable());
+        let heads = model.station_heads(&s);
+        let o = Vector2::new(0.5, 0.45);
+        let y = |a: &crpl_model::world_model::Affine, r| { let y = a.invert(r).unwrap(); [y.x as f32, y.y as f32] };
+        for r in [[0.1,0.5],[0.2,0.5],[0.3,0.55],[0.36,0.45],[0.4,0.6],[0.5,0.62],[0.5,0.6],[0.5,0.65],[0.6,0.6],[0.9,0.5],[0.5,0.9],[0.02,0.02],[0.98,0.98],[0.5,0.3],[0.5,0.32]] {
+            let r = Vector2::from(r);
+            let c = safety::clearance(r, o, s.uav_radius, 0.1);
+            let truth = safety::collision_probability(c, 0.0, 0.02);
+            print!("{:?}: head {:.4} truth {:.4} | gain {:.2} true {:.2}; ", r.as_slice(), heads.collision(y(&model.probe.c, r), y(&model.probe.u, o)), truth, heads.log_gain(y(&model.probe.c, r), y(&model.probe.u, o)), crpl_sitl::world::channel::gain(r, o, 0.1, &s.channel).ln());
+            println!();
+        }
     }
-    let report = crpl_model::evaluation::hard::measure(&model, 600, &crpl_sitl::Scenario::default(), &Noise::new(77));
-    print!("{}", report.table());
-    let frame = crpl_sitl::camera::render(Vector2::new(0.3, 0.4), Vector2::new(0.7, 0.6), &crpl_sitl::Scenario::default());
-    let t = std::time::Instant::now();
-    for _ in 0..200 { std::hint::black_box(model.encode(std::hint::black_box(&frame))); }
-    println!("{:.3} ms a frame", t.elapsed().as_secs_f64() * 5.0);
 }

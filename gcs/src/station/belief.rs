@@ -58,9 +58,10 @@ impl Belief {
     pub fn new(world: &WorldModel, config: BeliefConfig) -> Self {
         let [c, u] = world.motions(config.limits.v_max, config.gust_std);
         let seen = config.obstacles.min(COLOURS);
+        let window = config.window.max(world.least_window());
         Self {
-            controllable: LatentObserver::new(c, config.window),
-            uncontrollable: (0..seen).map(|_| LatentObserver::new(u.clone(), config.window)).collect(),
+            controllable: LatentObserver::new(c, window),
+            uncontrollable: (0..seen).map(|_| LatentObserver::new(u.clone(), window)).collect(),
             newest: None,
             latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
             ledger: Ledger::new(config.rule),

@@ -12,6 +12,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
+use crate::encoder::frame_encoder::FrameEncoder;
 use crate::numeric::kernel::{LANES, Lane, ZERO};
 use crate::planning::area::Area;
 use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};
@@ -21,8 +22,8 @@ use crate::planning::plant::{Draws, Edge, Objective, Plant};
 use crate::planning::scope;
 use crate::world_model::{StationHeads, WorldModel, checkpoint};
 
-/// What the encoder must provide: plane coordinates of a frame of UAV and obstacle.
-pub type Encode<'a> = dyn Fn(&camera::Frame) -> ([f32; 2], [f32; 2]) + Sync + 'a;
+/// What the world model must provide: plane coordinates of UAV and obstacle at these places, paper units.
+pub type Encode<'a> = dyn Fn(Vector2<f64>, Vector2<f64>) -> ([f32; 2], [f32; 2]) + Sync + 'a;
 
 /// A belief to plan from: plane coordinates, each now and one interval ago.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,15 +74,20 @@ impl PlanningProblem {
         seed: u64,
     ) -> Result<Self, OptimiseError> {
         let plant = plant(world, scenario, config)?;
-        let encode = |frame: &camera::Frame| {
-            let latent = world.encode(frame);
-            (world.y_c(&latent), world.y_u(&latent))
+        let encode = |uav: Vector2<f64>, obstacle: Vector2<f64>| match world.encoder {
+            FrameEncoder::Centroid(_) => {
+                let latent = world.encode(&camera::render(uav, obstacle, scenario));
+                (world.y_c(&latent), world.y_u(&latent))
+            }
+            // One picture of it is off by a tenth of a pixel, two are off in speed by as much an interval. Its plane
+            // is the picture's: no picture is needed.
+            FrameEncoder::Learned(_) => world.latents_at(uav, obstacle),
         };
         let world = checkpoint::fingerprint(world)?;
         Ok(Self { world, ..Self::new(plant, &encode, scenario, config, seed) })
     }
 
-    /// Renders and encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
+    /// Encodes what Algorithm 1 needs of a scenario. `plant`'s goal and corners are
     /// replaced by the encoded ones.
     #[must_use]
     pub fn new(
@@ -91,8 +97,7 @@ impl PlanningProblem {
         config: &OptimiseConfig,
         seed: u64,
     ) -> Self {
-        let place =
-            |uav: Vector2<f64>, obstacle: Vector2<f64>| encode(&camera::render(uav, obstacle, scenario));
+        let place = encode;
         let there = scenario.obstacle().position;
         plant.goal = place(scenario.goal, there).0;
         plant.corners = [place(Vector2::zeros(), there).0, place(Vector2::repeat(1.0), there).0];

@@ -26,6 +26,9 @@ use crate::predictor::linear::{Linear, Plane, PlaneLinear};
 use crate::predictor::observer::{LatentReading, MotionModel};
 use crate::world_model::card::Card;
 
+/// M of the learned encoder: more frames cost time and buy nothing in gusts (our choice).
+const LEARNED_WINDOW: usize = 20;
+
 /// Everything that was learned of the world.
 #[derive(Debug, Clone)]
 pub struct WorldModel {
@@ -104,6 +107,16 @@ impl WorldModel {
         self.linear.uncontrollable(&plane(&self.plane_u))
     }
 
+    /// Frames from which the observer tells place and speed where a scenario asks for fewer: two frames of the centroid
+    /// encoder are exact, those of the learned one are not.
+    #[must_use]
+    pub fn least_window(&self) -> usize {
+        match self.encoder {
+            FrameEncoder::Centroid(_) => 2,
+            FrameEncoder::Learned(_) => LEARNED_WINDOW,
+        }
+    }
+
     /// How both halves move, for the observer: controllable and uncontrollable. `v_max` and `gust_std` (the
     /// disturbance's standard deviation) in units per interval.
     #[must_use]
@@ -116,6 +129,13 @@ impl WorldModel {
             MotionModel { lost, ..MotionModel::new(self.predictor.clone(), self.scale, v_max, gust_std) },
             MotionModel { lost, ..MotionModel::new(uncontrollable, scale_u, f64::INFINITY, 0.0) },
         ]
+    }
+
+    /// Plane coordinates whose decoded places are these, paper units; zeros where the probe is singular.
+    #[must_use]
+    pub fn latents_at(&self, uav: Vector2<f64>, obstacle: Vector2<f64>) -> ([f32; 2], [f32; 2]) {
+        let plane = |map: &Affine, r| map.invert(r).map_or([0.0; 2], |y| [y.x as f32, y.y as f32]);
+        (plane(&self.probe.c, uav), plane(&self.probe.u, obstacle))
     }
 
     /// Where the model sees the UAV, paper units (probe; for plots and metrics).

@@ -84,6 +84,15 @@ pub struct FittedPredictor {
     pub off_free: f64,
 }
 
+/// Whether a body's disc is whole in the picture. A cut disc is read further inside than it is, and just there the
+/// flights accelerate inwards: a fit would take the one for the other.
+fn is_whole(p: [f32; 2]) -> bool {
+    p.iter().all(|x| (EDGE_PX..=SIDE as f32 - EDGE_PX).contains(x))
+}
+
+/// Distance from the picture's edge within which a disc may be cut, px.
+const EDGE_PX: f32 = 6.0;
+
 /// Ψ of both halves by least squares on one-step windows of the readings; Ψ_a on windows of `lag` steps, over which
 /// the action moves the UAV further and an error of reading weighs less. `None` if the normal equations are
 /// singular.
@@ -100,7 +109,7 @@ pub fn predictor(
         for (episode, votes) in recording.episodes().iter().zip(&readings.votes) {
             for k in 0..votes.len().saturating_sub(2 * lag) {
                 let seen = [0, 1, 2].map(|m| &votes[k + m * lag]);
-                if seen.iter().all(|v| is_good(noise, v, body)) {
+                if seen.iter().all(|v| is_good(noise, v, body) && is_whole(v.p[body])) {
                     let half = seen.map(|v| -> Half {
                         let y = plane_of_px(v.p[body], scale);
                         planes[body] * Vector2::new(f64::from(y[0]), f64::from(y[1]))
