@@ -19,6 +19,7 @@ use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::{bridge, mission, param, replay};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
 use crpl_sitl::program::terminal::{self, ExitWith, folder, positive};
 use crpl_sitl::scenario::presets;
@@ -74,6 +75,8 @@ struct Demo {
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
     #[command(flatten)]
+    camera: CameraFlag,
+    #[command(flatten)]
     models: ModelFiles,
     /// Controllers to fly, in this order
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
@@ -112,6 +115,8 @@ struct Fly {
     /// foreign autopilot]
     #[arg(long, value_name = "FILE|NAME")]
     scenario: Option<String>,
+    #[command(flatten)]
+    camera: CameraFlag,
     #[command(flatten)]
     models: ModelFiles,
     /// Endpoint of the vehicle: udpout:HOST:PORT if it listens, udpin:HOST:PORT to wait for it; or
@@ -173,7 +178,7 @@ impl VehicleKind {
 }
 
 async fn demo(args: Demo) -> Result<()> {
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let out = run_folder::fresh(args.out.as_deref(), "runs/demo")?;
@@ -212,13 +217,19 @@ async fn fly(args: Fly) -> Result<()> {
     };
     let foreign = args.vehicle.foreign();
     let (mut session, scenario) = match foreign {
-        Some(_) => (None, Scenario::named(args.scenario.as_deref().unwrap_or("foreign"))?),
+        Some(_) => (None, args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?),
         None => {
             // What is wrong with the file is said before anybody is asked.
-            let stated = args.scenario.as_deref().map(Scenario::named).transpose()?;
+            let camera = &args.camera;
+            let stated = args.scenario.as_deref().map(|name| camera.scenario(name)).transpose()?;
+            camera.put(&mut Scenario::default())?;
             tracing::info!(controller = %args.controller, "connecting to {}", args.connect);
             let mut session = options.find(&args.connect).await?;
-            let scenario = world::agree(&mut session, stated).await?;
+            let mut scenario = world::agree(&mut session, stated).await?;
+            if camera.camera.is_some() {
+                camera.put(&mut scenario)?;
+                scenario = world::agree(&mut session, Some(scenario)).await?;
+            }
             (Some(session), scenario)
         }
     };

@@ -22,8 +22,11 @@ const SEED: u64 = 7;
 /// Gusts, and a bandwidth at which packets fail.
 const CONFIG: &str = "[radio]\nb_dt = 2.5\n\n[disturbance]\nsigma_c = 0.005\n";
 
-fn scenario() -> Scenario {
-    Scenario::from_toml(CONFIG).expect("the config of this test")
+/// Through this camera.
+fn scenario(camera: &str) -> Scenario {
+    let mut scenario = Scenario::from_toml(CONFIG).expect("the config of this test");
+    scenario.film_with(camera).expect("a camera with a name");
+    scenario
 }
 
 /// Steers to the goal by what it was told; the picture's bytes decide the power.
@@ -49,8 +52,8 @@ fn lines(percepts: &[Percept], commands: &[Command], scenario: &Scenario) -> Vec
     percepts.windows(2).zip(commands).map(record).collect()
 }
 
-fn in_process() -> Vec<String> {
-    let scenario = scenario();
+fn in_process(camera: &str) -> Vec<String> {
+    let scenario = scenario(camera);
     let mut sim = Sim::new(scenario.clone(), SEED);
     let (mut percepts, mut commands) = (vec![sim.percept()], Vec::new());
     for _ in 0..TICKS {
@@ -64,12 +67,12 @@ fn in_process() -> Vec<String> {
 }
 
 /// Starts the real `sitl` in lockstep.
-fn vehicle(folder: &Path) -> (Program, SocketAddr) {
+fn vehicle(folder: &Path, camera: &str) -> (Program, SocketAddr) {
     let config = folder.join("scenario.toml");
     std::fs::write(&config, CONFIG).expect("writing the config");
     let config = config.to_str().expect("a plain path");
-    program::sitl(&["--pace", "lockstep", "--scenario", config, "--seed", "7", "--ticks", "100"])
-        .expect("starting sitl")
+    let flags = ["--pace", "lockstep", "--scenario", config, "--seed", "7", "--ticks", "100"];
+    program::sitl(&[&flags[..], &["--camera", camera]].concat()).expect("starting sitl")
 }
 
 /// Decides, and remembers all that it saw and said.
@@ -94,8 +97,8 @@ impl Crew for Witness {
 }
 
 /// Flies against whatever listens at `address`.
-async fn over_udp(address: SocketAddr, tlog: Option<PathBuf>) -> Vec<String> {
-    let scenario = scenario();
+async fn over_udp(address: SocketAddr, camera: &str, tlog: Option<PathBuf>) -> Vec<String> {
+    let scenario = scenario(camera);
     let connect = format!("udpout:{address}").parse().expect("an endpoint");
     let options = Options { ticks: Some(TICKS), ..Options::default() };
     let mut crew = Witness { scenario: scenario.clone(), percepts: Vec::new(), commands: Vec::new(), tlog };
@@ -113,7 +116,7 @@ fn assert_over(sitl: Program) {
 
 #[test]
 fn the_flight_has_outages_and_both_powers() {
-    let flight = in_process().join("\n");
+    let flight = in_process("clean").join("\n");
     for needed in [r#""outage":true"#, r#""outage":false"#, r#""power":1"#, r#""power":4"#] {
         assert!(flight.contains(needed), "no {needed}: this flight proves little");
     }
@@ -123,9 +126,9 @@ fn the_flight_has_outages_and_both_powers() {
 #[tokio::test]
 async fn over_udp_it_is_the_flight_in_process() {
     let folder = tempfile::tempdir().unwrap();
-    let (sitl, address) = vehicle(folder.path());
+    let (sitl, address) = vehicle(folder.path(), "clean");
     let tlog = folder.path().join("flight.tlog");
-    assert_eq!(over_udp(address, Some(tlog.clone())).await, in_process());
+    assert_eq!(over_udp(address, "clean", Some(tlog.clone())).await, in_process("clean"));
     assert_over(sitl);
 
     let read = python::script("read_tlog.py", &[&tlog]).unwrap().good().unwrap();
@@ -150,11 +153,25 @@ async fn over_udp_it_is_the_flight_in_process() {
 async fn lost_datagrams_delay_it_and_change_nothing() {
     for every in [7, 3] {
         let folder = tempfile::tempdir().unwrap();
-        let (sitl, address) = vehicle(folder.path());
+        let (sitl, address) = vehicle(folder.path(), "clean");
         let relay = Relay::to(address, every).unwrap();
-        assert_eq!(over_udp(relay.address(), None).await, in_process(), "every {every}th lost");
+        assert_eq!(
+            over_udp(relay.address(), "clean", None).await,
+            in_process("clean"),
+            "every {every}th lost"
+        );
         let (seen, lost) = relay.counts();
         assert!(lost > 10, "{lost} of {seen} datagrams lost");
         assert_over(sitl);
     }
+}
+
+#[tokio::test]
+async fn a_hard_camera_s_pictures_are_the_same_over_udp() {
+    let folder = tempfile::tempdir().unwrap();
+    let (sitl, address) = vehicle(folder.path(), "harder");
+    let flight = over_udp(address, "harder", None).await;
+    assert_eq!(flight, in_process("harder"));
+    assert_ne!(flight, in_process("clean"), "the pictures' bytes decide the power");
+    assert_over(sitl);
 }

@@ -30,6 +30,9 @@ pub async fn agree(session: &mut Session, stated: Option<Scenario>) -> Result<Sc
              world that it flies in: restart it"
         );
     }
+    if told.iter().any(|(name, value)| name == "CAM_PRESET" && *value < 0.0) {
+        tracing::warn!("vehicle {system} films with a camera of its own, which its parameters do not tell");
+    }
     match stated {
         Some(stated) => contradiction(&stated, &told).map_or(Ok(stated), |what| {
             bail!("vehicle {system} flies in another world than --scenario: {what}")
@@ -38,7 +41,9 @@ pub async fn agree(session: &mut Session, stated: Option<Scenario>) -> Result<Sc
             let world = world_of(&told).with_context(|| {
                 format!("vehicle {system} does not tell its world: give it by --scenario")
             })?;
+            // The vehicle may fly a preset with another camera.
             let known = PRESETS.iter().filter_map(|preset| Scenario::named(preset.name).ok());
+            let known = known.map(|preset| Scenario { camera: world.camera.clone(), ..preset });
             let preset = known.into_iter().find(|preset| contradiction(preset, &told).is_none());
             let scenario = preset.unwrap_or(world);
             scenario.check().with_context(|| format!("vehicle {system}"))?;
@@ -90,10 +95,19 @@ mod tests {
             let rebuilt = world_of(&told(&scenario)).unwrap();
             assert_eq!(contradiction(&rebuilt, &told(&scenario)), None, "{}", preset.name);
             rebuilt.check().unwrap();
-            // What the vehicle does not tell: the camera's effects, and the station's own observer.
-            let Scenario { name, camera, observer, .. } = scenario.clone();
-            assert_eq!(Scenario { name, camera, observer, ..rebuilt }, scenario, "{}", preset.name);
+            // What the vehicle does not tell: the station's own observer.
+            let Scenario { name, observer, .. } = scenario.clone();
+            assert_eq!(Scenario { name, observer, ..rebuilt }, scenario, "{}", preset.name);
         }
+    }
+
+    #[test]
+    fn a_camera_with_a_name_is_told_and_another_one_contradicts() {
+        let mut scenario = Scenario::named("demo").unwrap();
+        scenario.film_with("hard").unwrap();
+        assert_eq!(world_of(&told(&scenario)).unwrap().camera, scenario.camera);
+        let what = contradiction(&Scenario::named("demo").unwrap(), &told(&scenario)).unwrap();
+        assert_eq!(what, "CAM_PRESET = 0 in the scenario, 1 on the vehicle");
     }
 
     #[test]

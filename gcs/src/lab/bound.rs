@@ -7,6 +7,7 @@
 use anyhow::{Result, bail};
 use crpl_model::numeric::statistics::{Interval, Mean, quantile};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::program::timing::Stopwatch;
@@ -32,6 +33,8 @@ pub struct Bound {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
+    #[command(flatten)]
+    camera: CameraFlag,
     /// Controllers beside APC
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
@@ -86,7 +89,7 @@ struct BoundRow {
 /// # Errors
 /// A scenario or model that does not read, a controller without policies, a signal.
 pub fn run(args: &Bound) -> Result<()> {
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let stop = StopSignal::listen()?;

@@ -15,6 +15,7 @@ use crpl_model::planning::policy::Policies;
 use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::terminal::{StopSignal, positive};
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
@@ -34,6 +35,8 @@ pub struct Check {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
+    #[command(flatten)]
+    camera: CameraFlag,
     #[command(flatten)]
     models: ModelFiles,
     /// Number of flights
@@ -224,7 +227,7 @@ const F32: f64 = 1e-6;
 /// # Errors
 /// Missing or mismatched files, and a policy that breaks a constraint.
 pub fn run(args: &Check) -> Result<()> {
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     one_obstacle(&scenario)?;
     let models = args.models.load()?;
     let contender = Contender::new(&models, Controller::Crpl, &gusty(&scenario, args.gust_std))?;

@@ -3,6 +3,7 @@
 
 use anyhow::Result;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::scenario::presets;
@@ -23,6 +24,8 @@ pub struct Episodes {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
+    #[command(flatten)]
+    camera: CameraFlag,
     /// Flights per controller
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     episodes: u64,
@@ -76,7 +79,7 @@ pub struct EpisodesRow {
 /// # Errors
 /// A scenario or model that does not read, a controller without policies, a signal.
 pub fn run(args: &Episodes) -> Result<()> {
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let stop = StopSignal::listen()?;

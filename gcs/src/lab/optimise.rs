@@ -12,6 +12,7 @@ use crpl_model::planning::plant::{ObjectiveEstimate, RolloutLimits};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::{StationHeads, WorldModel};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
@@ -31,6 +32,8 @@ pub struct Optimise {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     scenario: String,
+    #[command(flatten)]
+    camera: CameraFlag,
     /// Parameters of Algorithm 1 that differ from the defaults (TOML)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -118,7 +121,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     if let Some(worlds) = args.random {
         return random::run(&world, &config, worlds, args.seed, args.json);
     }
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     one_obstacle(&scenario)?;
     if args.compare_limits {
         return compare_limits(&world, &scenario, &config, args);

@@ -75,9 +75,16 @@ const TEXTURE: &str = family!("[ground]\nkind = \"procedural\"\n");
 
 use Placement::{Anywhere, Cut, Over, Whole};
 
-/// All cameras with a name, as the rows of an evaluation.
+/// All cameras with a name, as the rows of an evaluation. The vehicle's parameter `CAM_PRESET` is the index.
 pub const CASES: [CameraCase; 25] = [
     case("clean", "discs on black", Whole, ""),
+    case(
+        "hard",
+        "all together: each flight draws its own",
+        Anywhere,
+        include_str!("../../presets/cameras/hard.toml"),
+    ),
+    case("harder", "everything at full", Whole, include_str!("../../presets/cameras/harder.toml")),
     case("cut", "disc cut by the edge", Cut, ""),
     case("over", "UAV over the obstacle", Over, ""),
     case("mixed", "mixed colours", Whole, "uav = [1.0, 0.25, 0.1]\nobstacle = [0.1, 0.3, 1.0]"),
@@ -120,13 +127,6 @@ pub const CASES: [CameraCase; 25] = [
         Whole,
         family!("distractors = { count = 2 }\n[ground]\nkind = \"procedural\"\n"),
     ),
-    case(
-        "hard",
-        "all together: each flight draws its own",
-        Anywhere,
-        include_str!("../../presets/cameras/hard.toml"),
-    ),
-    case("harder", "everything at full", Whole, include_str!("../../presets/cameras/harder.toml")),
 ];
 
 /// The names of all cameras, separated by commas.
@@ -146,6 +146,15 @@ impl CameraCase {
 }
 
 impl CameraConfig {
+    /// Its index in [`CASES`], or `None` if it has no name. The width of a disc's rim does not count.
+    #[must_use]
+    pub fn number(&self) -> Option<usize> {
+        let is_this = |case: &CameraCase| {
+            case.config().is_ok_and(|config| Self { edge_px: self.edge_px, ..config } == *self)
+        };
+        CASES.iter().position(is_this)
+    }
+
     /// The camera of this name.
     #[must_use]
     pub fn case(name: &str) -> Option<Self> {
@@ -182,6 +191,7 @@ fn parse(path: &Path, toml: &str) -> Result<CameraConfig, CameraError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::strength::Strength;
 
     #[test]
     fn every_camera_with_a_name_is_read_and_names_are_unique() {
@@ -190,6 +200,9 @@ mod tests {
             assert_eq!(CameraConfig::case(case.name), Some(config));
             assert!(CASES[..n].iter().all(|other| other.name != case.name), "{}", case.name);
         }
+        let wide = CameraConfig { edge_px: 5.0, ..CameraConfig::case("harder").unwrap() };
+        assert_eq!((wide.number(), CASES[2].name), (Some(2), "harder"));
+        assert_eq!(CameraConfig { noise: Strength::fixed(1.0), ..wide }.number(), None);
         assert_eq!(CameraConfig::case("clean"), Some(CameraConfig::default()));
         assert_eq!(CameraConfig::case("hrad"), None);
         let error = CameraConfig::named("hrad").unwrap_err().to_string();

@@ -181,3 +181,55 @@ impl CameraConfig {
         ]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::Scenario;
+
+    #[test]
+    fn a_camera_survives_toml_and_json() {
+        for case in ["clean", "hard", "harder"] {
+            let mut scenario = Scenario::default();
+            scenario.film_with(case).unwrap();
+            let again = Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap();
+            assert_eq!(again, scenario, "{case}");
+            let json = serde_json::to_string(&scenario).unwrap();
+            assert_eq!(serde_json::from_str::<Scenario>(&json).unwrap(), scenario, "{case}");
+        }
+    }
+
+    #[test]
+    fn each_key_has_a_range_that_is_told() {
+        let refused =
+            |text: &str| Scenario::from_toml(&format!("[camera]\n{text}\n")).unwrap_err().to_string();
+        for (text, said) in [
+            ("noise = -1.0", "camera.noise = -1: must lie in [0, 255]"),
+            ("noise = nan", "camera.noise = NaN: must lie in [0, 255]"),
+            ("jpeg = 101", "camera.jpeg = 101: must lie in [0, 100]"),
+            ("blur = { low = 0, high = 2 }", "camera.blur = 2: must lie in [0, 1]"),
+            ("blur = { low = 1, high = 0 }", "camera.blur = 1: must be at most its `high`"),
+            ("shake = 9.0", "camera.shake = 9: must lie in [0, 4]"),
+            ("drift = 1.0", "camera.drift = 1: must lie in [0, 0.9]"),
+            ("shade = 1.5", "camera.shade = 1.5: must lie in [0, 1]"),
+            ("shadow = { low = 0, high = 1, share = 2 }", "camera.shadow = 2: must lie in [0, 1]"),
+            ("obstacle_scale = 0.0", "camera.obstacle_scale = 0: must lie in [0.1, 10]"),
+            ("uav = [0.0, 1.5, 0.0]", "camera.uav = 1.5: must lie in [0, 1]"),
+            ("edge_px = 0.0", "camera.edge_px = 0: must lie in [0.01, 100]"),
+            ("ground = { share = 1.5 }", "camera.ground.share = 1.5: must lie in [0, 1]"),
+            ("ground = { contrast = 2 }", "camera.ground.contrast = 2: must lie in [0, 1]"),
+            ("ground = { mean = 2 }", "camera.ground.mean = 2: must lie in [0, 1]"),
+            ("ground = { tint = 2 }", "camera.ground.tint = 2: must lie in [0, 1]"),
+            ("ground = { edges = -1 }", "camera.ground.edges = -1: must lie in [0, 100]"),
+            ("distractors = { count = 33 }", "camera.distractors.count = 33: must lie in [0, 32]"),
+            ("distractors = { radius = 0 }", "camera.distractors.radius = 0: must lie in [0.1, 50]"),
+            ("distractors = { speed = -1 }", "camera.distractors.speed = -1: must lie in [0, 50]"),
+            (
+                "noise = 1.0\neffects = { noise = 1.0 }",
+                "camera.effects = set: must be left out beside other keys",
+            ),
+        ] {
+            assert_eq!(refused(text), said);
+        }
+        assert!(refused("nosie = 1.0").contains("nosie"));
+    }
+}

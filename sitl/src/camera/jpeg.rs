@@ -97,9 +97,13 @@ fn load(planes: [&[f32]; CHANNELS], top: usize, left: usize) -> [Block; CHANNELS
         for x in 0..BLOCK {
             let at = place(top, y) * SIDE + place(left, x);
             let [r, g, b] = planes.map(|plane| plane[at]);
-            blocks[0][y][x] = 0.299 * r + 0.587 * g + 0.114 * b - 128.0;
-            blocks[1][y][x] = -0.1687 * r - 0.3313 * g + 0.5 * b;
-            blocks[2][y][x] = 0.5 * r - 0.4187 * g - 0.0813 * b;
+            let bright = 0.299 * r + 0.587 * g + 0.114 * b - 128.0;
+            let blueish = -0.168_736 * r - 0.331_264 * g + 0.5 * b;
+            let reddish = 0.5 * r - 0.418_688 * g - 0.081_312 * b;
+            // In a file these are bytes.
+            for (block, value) in blocks.iter_mut().zip([bright, blueish, reddish]) {
+                block[y][x] = value.round_ties_even();
+            }
         }
     }
     blocks
@@ -112,9 +116,10 @@ fn store(planes: [&mut [f32]; CHANNELS], blocks: &[Block; CHANNELS], top: usize,
     for y in 0..rows {
         let at = (top * BLOCK + y) * SIDE + left * BLOCK;
         for x in 0..columns {
-            let (bright, blueish, reddish) = (blocks[0][y][x] + 128.0, blocks[1][y][x], blocks[2][y][x]);
+            let [bright, blueish, reddish] = [0, 1, 2].map(|n: usize| blocks[n][y][x].round_ties_even());
+            let bright = bright + 128.0;
             red[at + x] = bright + 1.402 * reddish;
-            green[at + x] = bright - 0.344_14 * blueish - 0.714_14 * reddish;
+            green[at + x] = bright - 0.344_136 * blueish - 0.714_136 * reddish;
             blue[at + x] = bright + 1.772 * blueish;
         }
     }
@@ -144,4 +149,53 @@ fn product(a: &Block, b: &Block) -> Block {
         }
     }
     c
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A picture of 0 to 255, from a formula for each pixel's column and row.
+    fn canvas(pixel: impl Fn(usize, usize) -> [f32; CHANNELS]) -> Canvas {
+        let mut canvas = Canvas::black();
+        for (channel, plane) in canvas.planes_mut().into_iter().enumerate() {
+            for (n, value) in plane.iter_mut().enumerate() {
+                *value = pixel(n % SIDE, n / SIDE)[channel];
+            }
+        }
+        canvas
+    }
+
+    /// What `pattern.jpg` was made of, by Pillow at quality 50 without subsampling.
+    fn pattern(x: usize, y: usize) -> [f32; CHANNELS] {
+        let disc = (x as i64 - 50).pow(2) + (y as i64 - 40).pow(2) < 400;
+        [x as f32 * 2.0, y as f32 * 2.0, if disc { 228.0 } else { 60.0 }]
+    }
+
+    fn after(quality: u32) -> Vec<u8> {
+        let mut picture = canvas(pattern);
+        Quantiser::new(quality).apply(&mut picture);
+        picture.clamp();
+        picture.into_frame().rgb().to_vec()
+    }
+
+    fn mean_difference(a: &[u8], b: &[u8]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64
+    }
+
+    #[test]
+    fn a_picture_comes_out_as_libjpeg_leaves_it() {
+        let file: &[u8] = include_bytes!("pattern.jpg");
+        let theirs = jpeg_decoder::Decoder::new(file).decode().unwrap();
+        let [ours, before] = [after(50), canvas(pattern).into_frame().rgb().to_vec()];
+        let (apart, change) = (mean_difference(&ours, &theirs), mean_difference(&before, &theirs));
+        assert!(apart < 0.1 && change > 1.5, "{apart} apart, changed by {change}");
+    }
+
+    #[test]
+    fn a_lower_quality_changes_more_and_the_best_almost_nothing() {
+        let before = canvas(pattern).into_frame();
+        let changes = [100, 90, 50, 10].map(|quality| mean_difference(&after(quality), before.rgb()));
+        assert!(changes[0] < 0.5 && changes.is_sorted_by(|a, b| a < b), "{changes:?}");
+    }
 }

@@ -141,3 +141,87 @@ impl Decoded {
         planes
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+
+    /// A picture twice as wide as high: red, its middle square green and, below, blue.
+    fn png(channels: png::ColorType) -> Vec<u8> {
+        let (width, height) = (2 * WIDE as u32, WIDE as u32);
+        let pixel = |n: u32| match (n % width, n / width) {
+            (x, _) if x < width / 4 || x >= 3 * width / 4 => [255, 0, 0, 255],
+            (_, y) if y < height / 2 => [0, 255, 0, 255],
+            _ => [0, 0, 255, 255],
+        };
+        let pixels = (0..width * height).map(pixel);
+        let data: Vec<u8> = pixels.flat_map(|p| p.into_iter().take(channels.samples())).collect();
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width, height);
+        encoder.set_color(channels);
+        encoder.write_header().unwrap().write_image_data(&data).unwrap();
+        bytes
+    }
+
+    /// A file that is gone when this is dropped.
+    struct Scratch(PathBuf);
+
+    impl Scratch {
+        fn new(name: &str, bytes: &[u8]) -> Self {
+            let path = std::env::temp_dir().join(format!("crpl-{}-{name}", std::process::id()));
+            std::fs::write(&path, bytes).unwrap();
+            Self(path)
+        }
+
+        fn scenario(&self) -> Result<Scenario, anyhow::Error> {
+            Scenario::from_toml(&format!("[camera.ground]\nkind = \"file\"\nfile = {:?}\n", self.0))
+        }
+    }
+
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_file(&self.0);
+        }
+    }
+
+    #[test]
+    fn the_middle_square_of_a_picture_is_the_ground() {
+        for channels in [png::ColorType::Rgb, png::ColorType::Rgba] {
+            let file = Scratch::new(&format!("{channels:?}.png"), &png(channels));
+            let scenario = file.scenario().unwrap();
+            let frame = crate::Sim::new(scenario.clone(), 0).frame();
+            assert_eq!([frame.pixel(0, 0), frame.pixel(99, 49)], [[0, 255, 0]; 2]);
+            assert_eq!([frame.pixel(0, 50), frame.pixel(99, 99)], [[0, 0, 255]; 2]);
+            // It is named in a record, and read again from there.
+            let again = Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap();
+            assert_eq!(again, scenario);
+        }
+    }
+
+    #[test]
+    fn a_jpeg_is_scaled_to_the_ground() {
+        let file = Scratch::new("pattern.jpg", include_bytes!("pattern.jpg"));
+        let frame = crate::Sim::new(file.scenario().unwrap(), 0).frame();
+        // Red grows with the column and green with the row; the disc's blue is not where the obstacle is.
+        let [left, right] = [frame.pixel(5, 90), frame.pixel(95, 90)];
+        assert!(right[0] > left[0] + 120 && left[1] > 120 && left[2] < 100, "{left:?} {right:?}");
+        assert!(frame.pixel(35, 35)[2] > 180);
+    }
+
+    #[test]
+    fn a_picture_that_cannot_be_read_is_refused_and_named() {
+        for (name, bytes) in
+            [("cut.png", &png(png::ColorType::Rgb)[..60]), ("junk.jpg", b"junk"), ("none", b"")]
+        {
+            let file = Scratch::new(name, bytes);
+            let error = file.scenario().unwrap_err().to_string();
+            assert!(error.starts_with("camera.ground.file = ") && error.contains(name), "{error}");
+        }
+        let nowhere = Scratch(PathBuf::from("/nowhere/ground.png"));
+        let error = nowhere.scenario().unwrap_err().to_string();
+        assert!(error.contains("No such file"), "{error}");
+        let error = Scenario::from_toml("[camera.ground]\nkind = \"file\"\n").unwrap_err().to_string();
+        assert_eq!(error, "camera.ground.file = nothing: must name a picture");
+    }
+}

@@ -10,6 +10,7 @@ use crate::link::endpoint::{Endpoint, HostPort};
 use crate::link::links::Links;
 use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
+use crate::program::camera::CameraFlag;
 use crate::program::fleet;
 use crate::program::shell::{Ended, LINKS, Shell};
 use crate::program::terminal::{positive, say};
@@ -36,6 +37,9 @@ pub struct Args {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
     pub scenario: String,
+    /// Another camera than the scenario's
+    #[command(flatten)]
+    pub camera: CameraFlag,
     /// Listen on udpin:HOST:PORT or tcpin:HOST:PORT (port 0: any free port); repeatable [default:
     /// udpin:127.0.0.1:14550 without --connect]
     #[arg(long, value_name = "ENDPOINT")]
@@ -173,7 +177,7 @@ impl Args {
 /// # Errors
 /// A scenario, parameter file or key that does not read, and an endpoint that cannot be opened.
 pub async fn run(args: Args) -> Result<()> {
-    let scenario = Scenario::named(&args.scenario)?;
+    let scenario = args.camera.scenario(&args.scenario)?;
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)
         .context("the control interval divided by --speed")?
         .max(Duration::from_micros(1));

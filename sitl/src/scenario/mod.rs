@@ -13,6 +13,7 @@ use std::path::Path;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
+use crate::camera::cases::CameraError;
 use crate::camera::{CameraConfig, Sizes};
 use crate::units::{Scale, TxPower};
 
@@ -441,6 +442,20 @@ impl Scenario {
             None => self.obstacles.push(Obstacle { position, ..Obstacle::PAPER }),
         }
         self.name = format!("scenario {number}");
+        Ok(())
+    }
+
+    /// Replaces the camera by the one that `--camera` names. One of [`crate::camera::cases::CASES`] keeps the
+    /// width of a disc's rim.
+    ///
+    /// # Errors
+    /// As [`CameraConfig::named`].
+    pub fn film_with(&mut self, camera: &str) -> Result<(), CameraError> {
+        let edge_px = self.camera.edge_px;
+        self.camera = match CameraConfig::case(camera) {
+            Some(config) => CameraConfig { edge_px, ..config },
+            None => CameraConfig::named(camera)?,
+        };
         Ok(())
     }
 

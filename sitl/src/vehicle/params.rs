@@ -22,6 +22,7 @@
 //! | `CHAN_BLOCK_SOFT`, `CHAN_DIST_FLOOR`, `SAFE_D_MIN`, `SAFE_SOFT` | m | at boot |
 //! | `SAFE_TOL_COLL`, `SAFE_TOL_OUT` | 0 to 1 | at boot |
 //! | `FLT_HORIZON`, `CAM_EDGE_PX`, `PROP_*` | intervals; px; the paper's | read only |
+//! | `CAM_PRESET` | 0 clean, 1 hard, 2 harder, further ones in docs/camera.md; -1 a camera without a name | read only |
 //! | `SCALE_UNIT_M`, `SCALE_DT_S`, `SCALE_ALT_M` | m; s; m | read only |
 //! | `STAT_NEXT_BOOT` | 1: what was set makes another flight from the next boot on | read only |
 //! | `STAT_*` | frames and bytes that came, by what became of them; setpoints | read only, and change by themselves |
@@ -35,6 +36,8 @@
 use std::time::Duration;
 
 use super::Vehicle;
+use crate::camera::CameraConfig;
+use crate::camera::cases::CASES;
 use crate::link::dialect::{self, MavParamError, MavParamType};
 use crate::link::encoder::DATAGRAM;
 use crate::link::messages::Target;
@@ -241,6 +244,7 @@ static AFTER_OBSTACLES: &[ParamSlot] = &[
     real("SAFE_TOL_OUT", |s| s.safety.outage_tolerance, |s, v| s.safety.outage_tolerance = v),
     told("FLT_HORIZON", |s| s.horizon as f64, |s, v| s.horizon = v as u64),
     told("CAM_EDGE_PX", |s| s.camera.edge_px, |s, v| s.camera.edge_px = v),
+    told("CAM_PRESET", |s| s.camera.number().map_or(-1.0, |number| number as f64), set_camera),
     told("PROP_P0", |s| s.propulsion.blade_profile_power, |s, v| s.propulsion.blade_profile_power = v),
     told("PROP_PI", |s| s.propulsion.induced_power, |s, v| s.propulsion.induced_power = v),
     told("PROP_TIP_SPEED", |s| s.propulsion.tip_speed, |s, v| s.propulsion.tip_speed = v),
@@ -277,6 +281,14 @@ fn number(action: Action) -> f64 {
 /// A number that is no action's changes nothing, and is refused by that.
 fn set_action(action: &mut Action, number: f64) {
     *action = ACTIONS.get(number as usize).copied().unwrap_or(*action);
+}
+
+/// A camera without a name is not told: it stays as it is.
+fn set_camera(scenario: &mut Scenario, number: f64) {
+    let case = CASES.iter().enumerate().find(|(index, _)| *index as f64 == number);
+    if let Some(config) = case.and_then(|(_, case)| case.config().ok()) {
+        scenario.camera = CameraConfig { edge_px: scenario.camera.edge_px, ..config };
+    }
 }
 
 fn metres(scenario: &Scenario, units: f64) -> f64 {
@@ -571,7 +583,7 @@ impl ObstacleUnit {
 pub struct NoSuchParameter(pub &'static str);
 
 /// The parameters that tell a vehicle's world, with their values in `scenario`: all that decides a flight and its
-/// score but for the camera's effects and the observer, which are the station's.
+/// score but for the observer, which is the station's, and a camera without a name.
 #[must_use]
 pub fn world_params(scenario: &Scenario) -> Vec<(&'static str, f32)> {
     let slots = world_slots(scenario.obstacles.len());

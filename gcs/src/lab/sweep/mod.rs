@@ -27,6 +27,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use crpl_model::world_model::checkpoint;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{Signal, StopSignal};
@@ -47,6 +48,8 @@ pub struct Sweep {
     /// Sweep file (TOML): name, axis, points, controllers, episodes, first_seed, [scenario]
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
+    #[command(flatten)]
+    camera: CameraFlag,
     /// Override the file's points
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     points: Option<Vec<f64>>,
@@ -90,6 +93,7 @@ pub fn run(args: &Sweep) -> Result<()> {
         episodes: args.episodes,
         first_seed: args.first_seed,
         controllers: args.controller.clone(),
+        camera: args.camera.clone(),
         ..overrides(&args.models)
     };
     let plan = resolve(SweepFile::load(&args.config)?, &flags, &mut models)?;

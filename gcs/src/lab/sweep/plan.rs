@@ -9,6 +9,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
 use crpl_sitl::scenario::new_spelling;
 use serde::{Deserialize, Serialize};
@@ -100,6 +101,8 @@ pub struct Overrides {
     pub controllers: Option<Vec<Controller>>,
     /// Another choice of policies.
     pub policies: Option<SweepPolicies>,
+    /// Another camera.
+    pub camera: CameraFlag,
 }
 
 /// A resolved sweep: equal plans give equal bytes.
@@ -161,7 +164,8 @@ impl SweepFile {
         flags: &Overrides,
         trained: impl FnOnce(&SweepPlan) -> Result<SweepModels>,
     ) -> Result<SweepPlan> {
-        let scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
+        let mut scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
+        flags.camera.put(&mut scenario)?;
         let mut plan = SweepPlan {
             name: self.name,
             axis: self.axis,
