@@ -63,6 +63,12 @@ const BREAK: f64 = 625.0;
 /// Longest step in an interval that two readings of one body may be apart where no limit is known, units.
 const FASTEST: f64 = 0.05;
 
+/// Second differences from which a window's roughness is told.
+const LEAST_DIFFERENCES: usize = 6;
+
+/// Largest roughness.
+const ROUGHEST: f64 = 30.0;
+
 /// Missing frames after which earlier frames are dropped.
 const LONGEST_GAP: usize = 50;
 
@@ -179,6 +185,8 @@ impl LatentObserver {
         {
             return Some(Estimate { y: now.y, v: now.y - before.y });
         }
+        let rough = if self.motion.lost { self.roughness() } else { 1.0 };
+        let noise = |seen| rough * self.noise(seen);
         let mut filter: Option<Filter> = None;
         let mut before: Option<(usize, LatentReading)> = None;
         let mut odd: Option<(usize, LatentReading)> = None;
@@ -187,14 +195,14 @@ impl LatentObserver {
                 filter.predict(&self.motion, interval.flown);
             }
             let Some(seen) = interval.seen else { continue };
-            let fits = filter.as_mut().is_some_and(|f| f.update(seen.y, self.noise(seen)));
+            let fits = filter.as_mut().is_some_and(|f| f.update(seen.y, noise(seen)));
             if fits {
                 odd = None;
             } else if !self.motion.lost || filter.is_none() {
-                filter = Some(self.anew(before, k, seen));
-            } else if odd.is_some_and(|other| self.agree(other, (k, seen))) {
+                filter = Some(self.anew(before, k, seen, rough));
+            } else if odd.is_some_and(|other| self.agree(other, (k, seen), rough)) {
                 // Two frames in a row against what was predicted: a wall, or what came before was lost.
-                filter = Some(self.anew(odd.take(), k, seen));
+                filter = Some(self.anew(odd.take(), k, seen, rough));
             } else {
                 odd = Some((k, seen));
                 continue;
@@ -207,21 +215,56 @@ impl LatentObserver {
         Some(Estimate { y, v })
     }
 
+    /// How many times further off the readings of this window are than their encoder says: a camera that shakes, a
+    /// ground that it has not seen. From second differences less what the actions add, whose median no lost body
+    /// and no wall moves; at least 1.
+    fn roughness(&self) -> f64 {
+        let seen: Vec<&Interval> = self.last.iter().collect();
+        let mut ratios: Vec<f64> = seen
+            .windows(3)
+            .filter_map(|w| {
+                let [a, b, c] = [w[0].seen?, w[1].seen?, w[2].seen?];
+                let off = c.y - b.y - self.motion.predictor.displacement(b.y, b.y - a.y, w[2].flown).step;
+                let [a, b, c] = [a, b, c].map(|r| self.noise(r).powi(2));
+                Some(off.norm_squared() / (a + 4.0 * b + c + self.motion.gust.powi(2)))
+            })
+            .collect();
+        if ratios.len() < LEAST_DIFFERENCES {
+            return 1.0;
+        }
+        ratios.sort_by(f64::total_cmp);
+        // The median of a squared normal deviate in two dimensions is 2 ln 2.
+        let median = ratios[ratios.len() / 2] / (2.0 * std::f64::consts::LN_2);
+        median.sqrt().clamp(1.0, ROUGHEST)
+    }
+
     /// A filter that knows the frame of interval `k` and the one before it.
-    fn anew(&self, before: Option<(usize, LatentReading)>, k: usize, seen: LatentReading) -> Filter {
-        let Some((since, first)) = before else { return Filter::at(seen.y, self.noise(seen)) };
-        let mut filter = Filter::at(first.y, self.noise(first));
+    fn anew(
+        &self,
+        before: Option<(usize, LatentReading)>,
+        k: usize,
+        seen: LatentReading,
+        rough: f64,
+    ) -> Filter {
+        let noise = |seen| rough * self.noise(seen);
+        let Some((since, first)) = before else { return Filter::at(seen.y, noise(seen)) };
+        let mut filter = Filter::at(first.y, noise(first));
         for interval in self.last.range(since + 1..=k) {
             filter.predict(&self.motion, interval.flown);
         }
-        filter.correct(seen.y, self.noise(seen));
+        filter.correct(seen.y, noise(seen));
         filter
     }
 
     /// Whether a body can have moved from one reading to the other.
-    fn agree(&self, (since, first): (usize, LatentReading), (k, seen): (usize, LatentReading)) -> bool {
+    fn agree(
+        &self,
+        (since, first): (usize, LatentReading),
+        (k, seen): (usize, LatentReading),
+        rough: f64,
+    ) -> bool {
         let step = self.motion.reach.min(FASTEST * self.motion.noise / FRAME_NOISE);
-        let errors = self.noise(first) + self.noise(seen);
+        let errors = rough * (self.noise(first) + self.noise(seen));
         (seen.y - first.y).norm() <= step * (k - since) as f64 + POOR.sqrt() * errors
     }
 
@@ -468,6 +511,26 @@ mod tests {
             assert!(off < 1e-3, "lost in {gone:?}: off by {off}");
         }
         assert!(watch(&motion(0.0), &[25]) > 1.0, "the clean drawing loses no body");
+    }
+
+    #[test]
+    fn a_camera_that_shakes_more_than_the_encoder_says_is_averaged_out() {
+        let mut rng = Noise::new(7).generator(Stream::Evaluation, 1);
+        let lost = MotionModel { lost: true, ..motion(0.0) };
+        let mut errors = [0.0; 2];
+        for _ in 0..60 {
+            let flight = flight(&lost, 25, 0.0, &mut rng);
+            for (n, model) in [lost.clone(), motion(0.0)].into_iter().enumerate() {
+                let mut observer = LatentObserver::new(model, 20);
+                for (y, a) in &flight {
+                    let shake = Vector2::new(StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+                    observer.observe(y + shake * (10.0 * SCALE * FRAME_NOISE), &[*a]);
+                }
+                errors[n] += (observer.estimate().unwrap().v - truth(&flight).v).norm() / 60.0;
+            }
+        }
+        assert!(3.0 * errors[0] < errors[1], "{errors:?}");
+        assert!(errors[0] < SCALE * FRAME_NOISE, "{errors:?}");
     }
 
     #[test]
