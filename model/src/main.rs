@@ -83,7 +83,7 @@ struct Train {
 
 #[derive(Debug, clap::Args)]
 struct NetworksOf {
-    /// Folder of the world model that gives the latents [default: the built-in one]
+    /// World model that gives the latents: a folder, or `learned` or `centroid`, which are built in [default: centroid]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
     /// Training parameters that differ from the defaults (TOML); only [networks] is used
@@ -178,7 +178,7 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     config.check()?;
     let model = match &args.checkpoint {
-        Some(dir) => WorldModel::load(dir)?,
+        Some(dir) => WorldModel::named(dir)?,
         None => WorldModel::embedded()?,
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use crpl_model::encoder::frame_encoder::FrameEncoder;
+use crpl_model::world_model::sight::FrameEncoder;
 use crpl_model::encoder::weights::{Colour, LATENT};
 use crpl_model::numeric::tensors::{Writer, write_all};
 use crpl_model::predictor::linear::Half;

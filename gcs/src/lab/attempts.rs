@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::algorithm1::{
     Comparison, OptimiseOutcome, OptimiseProgress, OptimiseWatch, optimise,
 };
-use crpl_model::planning::config::{Attempt, OptimiseConfig, OptimiseError};
+use crpl_model::planning::config::{Attempt, HOPELESS, OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::ObjectiveEstimate;
 use crpl_model::planning::policy::Policies;
 use crpl_model::planning::problem::PlanningProblem;
@@ -73,7 +73,7 @@ pub fn optimise_for(
     while attempt.number < last {
         let config = config.attempt(attempt);
         watch.attempt(attempt, &config);
-        let (mut policies, outcome) = match optimise(&problem, &config, seed, progress.take(), watch) {
+        let (mut policies, outcome) = match optimise(&problem, &config, attempt.seed(seed), progress.take(), watch) {
             Err(error) => match watch.stop().and_then(StopSignal::get) {
                 Some(signal) => bail!(signal.exit(&error.to_string())),
                 None => return Err(error.into()),
@@ -90,14 +90,18 @@ pub fn optimise_for(
             attempts: attempt.number + 1,
             wall_s: stopwatch.seconds().0,
         };
-        let holds = flown.holds();
+        let (holds, least) = (flown.holds(), flown.least());
         if best.as_ref().is_none_or(|best| best.flown.least() <= flown.least()) {
             best = Some(made);
         }
         if holds {
             break;
         }
-        attempt = attempt.next(flown.safe.holds(), flown.comm.holds());
+        attempt = if least < HOPELESS {
+            attempt.afresh()
+        } else {
+            attempt.next(flown.safe.holds(), flown.comm.holds())
+        };
     }
     let best = best.context("no attempt was made")?;
     Ok(Optimised { wall_s: stopwatch.seconds().0, ..best })

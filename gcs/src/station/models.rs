@@ -91,7 +91,7 @@ impl Models {
     /// No world model in the folder.
     pub fn load(checkpoint: Option<&Path>, policy: Option<PathBuf>) -> Result<Self> {
         let world = match checkpoint {
-            Some(dir) => WorldModel::load(dir)?,
+            Some(dir) => WorldModel::named(dir)?,
             None => WorldModel::embedded()?,
         };
         let laws = Laws::load::<&Path>(&[])?;
@@ -193,7 +193,7 @@ impl Models {
 /// Flags that name the trained models.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ModelFiles {
-    /// Folder of the world model [default: the built-in one]
+    /// World model: a folder, or `learned` or `centroid`, which are built in [default: centroid]
     #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
     /// File of CRPL's policies [default: the built-in ones]

@@ -17,7 +17,7 @@ pub struct Evaluate {
     /// Seed of the frames and flights
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Folder of the world model, or `learned` or `centroid`, which are built in [default: learned]
+    /// World model: a folder, or `learned` or `centroid`, which are built in [default: centroid]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
     /// Folder of other networks, written by `model predictors` [default: those beside the world model]
@@ -81,12 +81,12 @@ pub fn run(args: &Evaluate) -> Result<()> {
 /// The world model and the networks that were trained on its latents.
 fn load(dir: Option<&Path>, others: Option<&Path>) -> Result<(WorldModel, Networks)> {
     let model = match dir {
-        Some(dir) => WorldModel::load(dir)?,
+        Some(dir) => WorldModel::named(dir)?,
         None => WorldModel::embedded()?,
     };
     let dir = others.or(dir);
     let networks = match dir {
-        Some(dir) => Networks::load(dir)?,
+        Some(dir) => Networks::named(dir)?,
         None => Networks::embedded()?,
     };
     let here = checkpoint::fingerprint(&model)?;

@@ -165,6 +165,14 @@ pub struct Attempt {
     pub safety: i32,
     /// How often δ2 has been halved and 15 % more SNR asked for.
     pub outage: i32,
+    /// How often the policies have begun from other random weights.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub fresh: u64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 impl Attempt {
@@ -177,9 +185,26 @@ impl Attempt {
             number: self.number + 1,
             safety: self.safety + i32::from(!safe || neither),
             outage: self.outage + i32::from(!connected || neither),
+            ..self
         }
     }
+
+    /// The next one from other random weights, with the tolerances of this one: where a probability is as low as
+    /// here, the descent has not found a way at all, and no tolerance mends that.
+    #[must_use]
+    pub fn afresh(self) -> Self {
+        Self { number: self.number + 1, fresh: self.fresh + 1, ..self }
+    }
+
+    /// The seed of this attempt's weights and rollouts.
+    #[must_use]
+    pub fn seed(self, seed: u64) -> u64 {
+        seed ^ (self.fresh << 48)
+    }
 }
+
+/// A measured probability below this is no matter of a tolerance.
+pub const HOPELESS: f64 = 0.8;
 
 impl OptimiseConfig {
     /// The config of an attempt.
@@ -243,8 +268,8 @@ mod tests {
 
     #[test]
     fn the_next_attempt_tightens_what_did_not_pass_and_both_where_the_goal_was_missed() {
-        let now = Attempt { number: 3, safety: 2, outage: 5 };
-        let next = |safety, outage| Attempt { number: 4, safety, outage };
+        let now = Attempt { number: 3, safety: 2, outage: 5, fresh: 0 };
+        let next = |safety, outage| Attempt { number: 4, safety, outage, fresh: 0 };
         assert_eq!(now.next(false, true), next(3, 5));
         assert_eq!(now.next(true, false), next(2, 6));
         assert_eq!(now.next(false, false), next(3, 6));
@@ -256,7 +281,7 @@ mod tests {
         let objective =
             Objective { collision_tolerance: 0.08, outage_tolerance: 0.4, ..Objective::default() };
         let config = OptimiseConfig { objective, snr_headroom: 2.0, ..OptimiseConfig::default() };
-        let tight = config.attempt(Attempt { number: 4, safety: 3, outage: 2 });
+        let tight = config.attempt(Attempt { number: 4, safety: 3, outage: 2, fresh: 0 });
         let of = &tight.objective;
         for (is, must) in
             [(of.collision_tolerance, 0.01), (of.outage_tolerance, 0.1), (tight.snr_headroom, 2.645)]

@@ -12,7 +12,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::encoder::frame_encoder::FrameEncoder;
+use crate::world_model::sight::FrameEncoder;
 use crate::numeric::kernel::{LANES, Lane, ZERO};
 use crate::planning::area::Area;
 use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};

@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
+use crate::encoder::BuiltIn;
 use crate::numeric::kernel::LANES;
 use crate::numeric::mlp::{Dense, Mlp};
 use crate::numeric::tensors::{self, Reader, TensorError, Writer};
@@ -424,8 +425,30 @@ impl Networks {
     /// # Errors
     /// If the program was built with a file of another format.
     pub fn embedded() -> Result<Self, TensorError> {
-        let bytes = include_bytes!("../../pretrained/predictors.safetensors");
-        Self::parse(bytes, Path::new("embedded").join(PREDICTORS))
+        Self::built_in(BuiltIn::Centroid)
+    }
+
+    /// The networks that belong to a world model that ships with the program.
+    ///
+    /// # Errors
+    /// If the program was built with a file of another format.
+    pub fn built_in(which: BuiltIn) -> Result<Self, TensorError> {
+        let bytes: &[u8] = match which {
+            BuiltIn::Centroid => include_bytes!("../../pretrained/predictors.safetensors"),
+            BuiltIn::Learned => include_bytes!("../../pretrained/learned/predictors.safetensors"),
+        };
+        Self::parse(bytes, Path::new("built-in").join(which.name()).join(PREDICTORS))
+    }
+
+    /// Those that belong to the world model that `--checkpoint` names.
+    ///
+    /// # Errors
+    /// If a file is missing or holds something else.
+    pub fn named(name: &Path) -> Result<Self, TensorError> {
+        match BuiltIn::of(name) {
+            Some(which) => Self::built_in(which),
+            None => Self::load(name),
+        }
     }
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, TensorError> {

@@ -120,7 +120,7 @@ pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
 
 fn load_or_train(path: &Path, backend: Backend) -> anyhow::Result<WorldModel> {
     if path.is_dir() {
-        return Ok(WorldModel::load(path)?);
+        return Ok(WorldModel::named(path)?);
     }
     let config = TrainConfig::load(path)?;
     let (model, diagnostics) =

@@ -13,7 +13,7 @@ use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 
-use crate::encoder::frame_encoder::FrameEncoder;
+use crate::world_model::sight::FrameEncoder;
 use crate::encoder::infer::Encoder;
 use crate::encoder::module::{Backend, NoBackend};
 use crate::encoder::probe::Probe;

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crpl_sitl::program::files;
 
+use crate::encoder::BuiltIn;
 use crate::encoder::weights::LATENT;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer};
 use crate::predictor::linear::Linear;
@@ -96,14 +97,41 @@ impl WorldModel {
         Ok(tensors::write_all(&dir.join(CONFIG), &config)?)
     }
 
-    /// The model that ships with the program, trained by `model train`.
+    /// The model that programs take where none is named: [`BuiltIn::Centroid`].
     ///
     /// # Errors
     /// If the program was built with a checkpoint of another format.
     pub fn embedded() -> Result<Self, CheckpointError> {
-        let tensors = include_bytes!("../../pretrained/model.safetensors");
-        let config = include_bytes!("../../pretrained/config.json");
-        parse(tensors, config, Path::new("embedded"))
+        Self::built_in(BuiltIn::Centroid)
+    }
+
+    /// A model that ships with the program, trained by `model train`.
+    ///
+    /// # Errors
+    /// If the program was built with a checkpoint of another format.
+    pub fn built_in(which: BuiltIn) -> Result<Self, CheckpointError> {
+        let (tensors, config): (&[u8], &[u8]) = match which {
+            BuiltIn::Centroid => (
+                include_bytes!("../../pretrained/model.safetensors"),
+                include_bytes!("../../pretrained/config.json"),
+            ),
+            BuiltIn::Learned => (
+                include_bytes!("../../pretrained/learned/model.safetensors"),
+                include_bytes!("../../pretrained/learned/config.json"),
+            ),
+        };
+        parse(tensors, config, &Path::new("built-in").join(which.name()))
+    }
+
+    /// The model that `--checkpoint` names: `centroid` or `learned`, which are built in, or a folder.
+    ///
+    /// # Errors
+    /// If there is no such folder, or what is there is no world model.
+    pub fn named(name: &Path) -> Result<Self, CheckpointError> {
+        match BuiltIn::of(name) {
+            Some(which) => Self::built_in(which),
+            None => Self::load(name),
+        }
     }
 }
 

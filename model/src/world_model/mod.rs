@@ -8,7 +8,9 @@ pub mod checkpoint;
 pub mod config;
 pub mod dataset;
 pub mod exploration;
+pub mod learned;
 pub mod recording;
+pub mod sight;
 pub mod stages;
 
 use crpl_sitl::Scenario;
@@ -16,7 +18,7 @@ use crpl_sitl::camera::Frame;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use crate::encoder::frame_encoder::{FrameEncoder, LatentPlanes};
+use crate::world_model::sight::{FrameEncoder, LatentPlanes};
 pub use crate::encoder::infer::Latent;
 pub use crate::encoder::probe::{Affine, Probe};
 use crate::encoder::weights::{LATENT, on_plane, vector};

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::numeric::tensors::TensorError;
-use crate::training::learned::config::{AugmentConfig, LearnedConfig};
+use crate::world_model::learned::{AugmentConfig, LearnedConfig};
 use crate::world_model::recording::{EpisodeIndex, Recording};
 
 /// Values of a picture.

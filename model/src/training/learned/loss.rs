@@ -11,7 +11,7 @@ use crate::numeric::adam::Adam;
 use crate::numeric::kernel;
 use crate::numeric::mlp::Mlp;
 use crate::training::learned::batch::Drawn;
-use crate::training::learned::config::LearnedConfig;
+use crate::world_model::learned::LearnedConfig;
 use crate::training::learned::teacher;
 
 /// Index of the UAV among the bodies.

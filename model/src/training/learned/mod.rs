@@ -5,7 +5,6 @@
 //! interrupted run ends with the bytes of one that was not.
 
 pub mod batch;
-pub mod config;
 pub mod loss;
 pub mod readings;
 #[cfg(feature = "train")]
@@ -24,7 +23,7 @@ use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::mlp::Mlp;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
 use crate::training::learned::batch::{Drawn, PIXELS, normal};
-pub use crate::training::learned::config::LearnedConfig;
+pub use crate::world_model::learned::LearnedConfig;
 use crate::training::learned::loss::{GAIN_NET, GainNet, Phase, Readings, RunningMeans};
 use crate::world_model::recording::Recording;
 

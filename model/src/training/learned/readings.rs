@@ -5,7 +5,7 @@ use crpl_sitl::camera::SIDE;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use crate::encoder::frame_encoder::{LearnedSight, plane_of_px};
+use crate::world_model::sight::{LearnedSight, plane_of_px};
 use crate::encoder::votes::noise::{ReadingNoise, SpreadSample};
 use crate::encoder::votes::{BODIES, VoteEncoder, VoteWeights, Votes};
 use crate::numeric::tensors::TensorError;

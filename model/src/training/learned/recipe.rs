@@ -12,7 +12,7 @@ use crpl_sitl::world::safety;
 use nalgebra::{Matrix2, Vector2};
 use rand::RngExt;
 
-use crate::encoder::frame_encoder::{FrameEncoder, LearnedSight, plane_of_px};
+use crate::world_model::sight::{FrameEncoder, LearnedSight, plane_of_px};
 use crate::encoder::probe::{Affine, Probe};
 use crate::encoder::votes::{VoteEncoder, VoteWeights};
 use crate::encoder::weights::random_plane;

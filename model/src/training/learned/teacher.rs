@@ -6,7 +6,7 @@
 
 use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
 
-use crate::training::learned::config::TeacherConfig;
+use crate::world_model::learned::TeacherConfig;
 
 /// Rounds of the mean shift.
 const ROUNDS: usize = 3;
