@@ -29,6 +29,9 @@ pub struct Evaluate {
     /// Number of frames for the probes and the heads
     #[arg(long, value_name = "N", default_value_t = 6000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
     frames: u64,
+    /// Camera of the trajectories: TOML file or clean, texture, hard, or another name of docs/camera.md
+    #[arg(long, value_name = "FILE|NAME", default_value = "clean")]
+    camera: String,
     /// Number of frames in the observer's window
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=50))]
     window: u64,
@@ -51,10 +54,13 @@ pub fn run(args: &Evaluate) -> Result<()> {
         trajectories: args.trajectories as usize,
         frames: args.frames as usize,
         window: args.window as usize,
+        camera: args.camera.clone(),
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
     let bar = progress::bar("rollouts", 2 * RolloutStart::ALL.len() as u64 * args.trajectories);
-    let measured = report::measure(&model, &networks, &config, &Scenario::default(), || bar.inc(1));
+    let mut scenario = Scenario::default();
+    scenario.film_with(&args.camera)?;
+    let measured = report::measure(&model, &networks, &config, &scenario, || bar.inc(1));
     bar.finish_and_clear();
     figures::draw(&measured, &args.out)?;
     let about = serde_json::json!({

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::encoder::probe::{covariance, effective_rank, r_squared};
 use crate::encoder::weights::vector;
+use crate::evaluation::hard::{self, HardReport};
 use crate::evaluation::robustness::{self, RobustnessRow};
 use crate::evaluation::rollout::{
     self, Errors, Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutRow, RolloutStart, Trajectory,
@@ -30,6 +31,8 @@ pub struct ReportConfig {
     pub frames: usize,
     /// M, frames that the observer sees.
     pub window: usize,
+    /// Camera of the trajectories.
+    pub camera: String,
 }
 
 /// What was measured.
@@ -49,8 +52,11 @@ pub struct EvaluationReport {
     pub actions: ActionsReport,
     /// Effective ranks.
     pub rank: Rank,
-    /// Harder cameras and states.
-    pub hard: Vec<RobustnessRow>,
+    /// Every camera with a name, and leakage.
+    #[serde(flatten)]
+    pub cameras: HardReport,
+    /// The harder cameras and states for which the centroid encoder was made.
+    pub states: Vec<RobustnessRow>,
 }
 
 /// How many candidates from a start stay in the frame and below v_max for the whole trajectory.
@@ -171,7 +177,8 @@ pub fn measure(
         heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
         actions: actions(model, &trajectories, &known, &noise),
         rank: rank(model, config.frames.min(2000), scenario, &noise),
-        hard: robustness::robustness_table(model, config.frames.min(2000), scenario, &noise),
+        cameras: hard::measure(model, config.frames.min(CASE_PICTURES), scenario, &noise),
+        states: robustness::robustness_table(model, config.frames.min(2000), scenario, &noise),
     };
     Measured { report, errors }
 }
@@ -211,6 +218,9 @@ impl Forecasts {
         each.flat_map(|(name, start, e)| HORIZONS.map(|h| RolloutRow::of(*name, *start, h, e))).collect()
     }
 }
+
+/// Pictures of each camera.
+const CASE_PICTURES: usize = 600;
 
 /// Keeps evaluation apart from training on the same seed.
 const EVALUATION: u64 = 0x6576_616c_7561_7465;
@@ -376,8 +386,10 @@ impl EvaluationReport {
         text.extend(rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")));
         text.push_str("\nharder cameras and states, p90 in px              z_c      z_u\n");
         text.extend(
-            self.hard.iter().map(|r| format!("{:<44} {:8.3} {:8.3}\n", r.case, r.z_c_p90_px, r.z_u_p90_px)),
+            self.states.iter().map(|r| format!("{:<44} {:8.3} {:8.3}\n", r.case, r.z_c_p90_px, r.z_u_p90_px)),
         );
+        text.push('\n');
+        text += &self.cameras.table();
         text
     }
 }

@@ -3,8 +3,9 @@
 //! All predictors forecast from the same frame. What differs is what is known of the time before it:
 //! the observer sees a window of frames and the actions between them, the others the last two.
 
-use crpl_sitl::camera::{self, SIDE};
+use crpl_sitl::camera::{self, Body, Film, Poses, SIDE};
 use crpl_sitl::scenario::Scenario;
+use crpl_sitl::units::Tick;
 use crpl_sitl::world::dynamics::{self, State};
 use crpl_sitl::world::noise::{Noise, Stream};
 use nalgebra::Vector2;
@@ -248,6 +249,13 @@ enum Sight {
     Learned,
 }
 
+/// Both bodies in a scene, and what they moved since the one before.
+fn poses(before: [Vector2<f64>; 2], now: [Vector2<f64>; 2], scenario: &Scenario) -> Poses {
+    let body = |n: usize, radius: f64| Body { position: now[n], velocity: now[n] - before[n], radius };
+    let obstacle = body(1, scenario.obstacle().radius);
+    Poses { uav: body(0, scenario.uav_radius), obstacles: std::iter::once(obstacle).collect() }
+}
+
 impl<'a> Panel<'a> {
     /// All that `model` and `networks` have, and the scenario's limits.
     #[must_use]
@@ -287,8 +295,10 @@ impl<'a> Panel<'a> {
     /// What the observers of [`Sight`] go by, in its order.
     fn motions(&self, v_max: f64) -> [MotionModel; 3] {
         let [plain, _] = self.model.motions(v_max, 0.0);
-        let within = |bounds: Bounds| {
-            MotionModel::new(self.bounded(bounds), self.model.scale, bounds.reach / self.model.scale, 0.0)
+        let lost = plain.lost;
+        let within = |bounds: Bounds| MotionModel {
+            lost,
+            ..MotionModel::new(self.bounded(bounds), self.model.scale, bounds.reach / self.model.scale, 0.0)
         };
         let learned = self.networks.bounds.map_or_else(|| plain.clone(), within);
         [plain, within(self.known), learned]
@@ -303,7 +313,8 @@ impl<'a> Panel<'a> {
         tick: impl Fn() + Sync,
     ) -> Vec<Known> {
         let motions = self.motions(scenario.dynamics.v_max);
-        let known = trajectories.par_iter().map(|t| {
+        let known = trajectories.par_iter().enumerate().map(|(n, t)| {
+            let film = Film::new(&scenario.camera, n as u64);
             let window = t.history.len();
             let mut observers = motions.clone().map(|motion| LatentObserver::new(motion, window));
             let mut pair = [Vector2::zeros(); 2];
@@ -313,7 +324,10 @@ impl<'a> Panel<'a> {
                 // Equal scenes give equal frames: encoded once.
                 let [c, u] = match last {
                     Some((before, seen)) if before == *scene => seen,
-                    _ => self.model.see(&camera::render(scene[0], scene[1], scenario)),
+                    _ => {
+                        let before = t.history[k.saturating_sub(1)];
+                        self.model.see(&film.frame(Tick(k as u64), &poses(before, *scene, scenario)))
+                    }
                 };
                 last = Some((*scene, [c, u]));
                 pair = [c.y, if k == 0 { c.y } else { pair[0] }];
