@@ -8,10 +8,11 @@ use clap::{Parser, Subcommand};
 use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
 use crpl_model::training::recipe::{self, Run};
-use crpl_model::training::{ablation_command, predictors};
+use crpl_model::training::{ablation_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
+use crpl_model::world_model::recording::Recording;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::{progress, terminal};
 use crpl_sitl::program::timing::Stopwatch;
@@ -32,6 +33,8 @@ enum Command {
     Train(Train),
     /// Train the MLP and LSTM predictors on the latents of a world model
     Predictors(NetworksOf),
+    /// Fine-tune a learned world model on a recording of a new camera
+    Adapt(Adapt),
     /// Train with one ingredient of the recipe changed at a time and print the errors
     Ablate(ablation_command::Ablate),
     /// Print an encoder's errors with degraded cameras and in difficult states
@@ -97,11 +100,31 @@ struct NetworksOf {
     out: PathBuf,
 }
 
+#[derive(Debug, clap::Args)]
+struct Adapt {
+    /// World model to start from: a folder, or `learned`, which is built in
+    #[arg(long, value_name = "DIR", default_value = "learned")]
+    checkpoint: PathBuf,
+    /// Folder of the recording; the last fifth of its episodes tells the noise of a reading and is not trained on
+    #[arg(long, value_name = "DIR")]
+    recording: PathBuf,
+    /// Steps
+    #[arg(long, value_name = "N", default_value_t = 300)]
+    steps: usize,
+    /// Seed of the steps
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Folder for the checkpoint
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
 fn main() -> ExitCode {
     terminal::main(crpl_model::revision(), |args: Args| match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
+        Command::Adapt(args) => adapt(&args),
         Command::Ablate(args) => ablation_command::ablate(&args),
         Command::Robustness(args) => ablation_command::robustness(&args),
         Command::Evaluate(args) => evaluation::command::run(&args),
@@ -124,7 +147,7 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
 
 /// Exploratory flights as a recording.
 fn record(config: &TrainConfig, part: &LearnedTraining, out: &std::path::Path) -> anyhow::Result<()> {
-    let cameras = crpl_model::training::learned::recipe::cameras(&part.recording)?;
+    let cameras = learned::recipe::cameras(&part.recording)?;
     let bar = progress::bar("recording", part.recording.episodes as u64);
     exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, out, || bar.inc(1))?;
     bar.finish();
@@ -171,6 +194,18 @@ fn run(args: &Train) -> anyhow::Result<()> {
             println!("made by --quick: these are not the figures of the full recipe");
         }
     }
+    Ok(())
+}
+
+fn adapt(args: &Adapt) -> anyhow::Result<()> {
+    let stopwatch = Stopwatch::default();
+    let model = WorldModel::named(&args.checkpoint)?;
+    let recording = Recording::open(&args.recording, None)?;
+    let bar = progress::bar("adapt", args.steps as u64);
+    let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &bar)?;
+    bar.finish();
+    adapted.save(&args.out)?;
+    println!("{} steps on {} episodes in {:.1} s; in {}", args.steps, recording.episodes().len(), stopwatch.seconds().0, args.out.display());
     Ok(())
 }
 

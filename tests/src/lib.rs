@@ -8,6 +8,7 @@
 
 pub mod fake_autopilot;
 pub mod golden;
+pub mod interchange;
 pub mod program;
 pub mod python;
 pub mod relay;

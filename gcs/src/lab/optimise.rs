@@ -131,7 +131,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     let saved = args.out.join(format!("{name}.progress.json"));
     let mut run = Saved {
         seed: args.seed,
-        world: crpl_model::world_model::checkpoint::fingerprint(&world)?,
+        world: crpl_model::world_model::checkpoint::planning_fingerprint(&world)?,
         scenario: scenario.clone(),
         config: config.clone(),
         attempt: Attempt::default(),

@@ -113,7 +113,7 @@ impl Models {
                 scenario.name
             );
         }
-        let here = checkpoint::fingerprint(&self.world)?;
+        let here = checkpoint::planning_fingerprint(&self.world)?;
         let chosen = self.nearest(scenario, &here)?;
         let theirs = &chosen.policies.world;
         if *theirs != here {
@@ -141,7 +141,7 @@ impl Models {
     /// # Errors
     /// A file that does not read.
     pub fn covers(&self, scenario: &Scenario) -> Result<bool> {
-        let here = checkpoint::fingerprint(&self.world)?;
+        let here = checkpoint::planning_fingerprint(&self.world)?;
         let chosen = self.nearest(scenario, &here)?;
         Ok(chosen.policies.world == here && chosen.origin.differences.is_empty())
     }
@@ -151,7 +151,7 @@ impl Models {
     /// # Errors
     /// The world model has no fingerprint.
     pub fn cache_name(&self, scenario: &Scenario) -> Result<String> {
-        let world = checkpoint::fingerprint(&self.world)?;
+        let world = checkpoint::planning_fingerprint(&self.world)?;
         Ok(format!("{}-{world}.safetensors", scope::fingerprint(scenario)))
     }
 

@@ -95,7 +95,7 @@ fn load(dir: Option<&Path>, others: Option<&Path>) -> Result<(WorldModel, Networ
         Some(dir) => Networks::named(dir)?,
         None => Networks::embedded()?,
     };
-    let here = checkpoint::fingerprint(&model)?;
+    let here = checkpoint::planning_fingerprint(&model)?;
     if networks.world != here {
         let place = dir.map_or("embedded".into(), |d| d.display().to_string());
         bail!("{place}/{PREDICTORS} was trained on world model {}, and this is {here}", networks.world);

@@ -83,7 +83,7 @@ impl PlanningProblem {
             // is the picture's: no picture is needed.
             FrameEncoder::Learned(_) => world.latents_at(uav, obstacle),
         };
-        let world = checkpoint::fingerprint(world)?;
+        let world = checkpoint::planning_fingerprint(world)?;
         Ok(Self { world, ..Self::new(plant, &encode, scenario, config, seed) })
     }
 

@@ -13,6 +13,7 @@ use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer};
 use crate::predictor::linear::Linear;
 use crate::predictor::{Networks, PREDICTORS, Predictor, PredictorKind};
 use crate::world_model::card::Card;
+use crate::world_model::sight::FrameEncoder;
 use crate::world_model::{WorldModel, plane};
 
 /// Name of the tensors' file.
@@ -74,7 +75,7 @@ impl WorldModel {
         kind: PredictorKind,
         networks: &Networks,
     ) -> Result<Self, CheckpointError> {
-        let here = fingerprint(&self)?;
+        let here = planning_fingerprint(&self)?;
         if kind != PredictorKind::Linear && networks.world != here {
             return Err(CheckpointError::World { here, networks: networks.world.clone() });
         }
@@ -143,16 +144,38 @@ pub fn fingerprint(model: &WorldModel) -> Result<String, TensorError> {
     Ok(files::fingerprint(&bytes(model)?))
 }
 
+/// A name for the world that policies and networks are made in: the same for two learned encoders that differ in
+/// nothing but how they read a picture, as an adapted one does. Their plane is the picture's, so what was made for
+/// one holds for the other.
+///
+/// # Errors
+/// [`TensorError::Format`] if a tensor's shape and values disagree.
+pub fn planning_fingerprint(model: &WorldModel) -> Result<String, TensorError> {
+    match model.encoder {
+        FrameEncoder::Centroid(_) => fingerprint(model),
+        FrameEncoder::Learned(_) => {
+            let mut out = Writer::default();
+            put_planning(model, &mut out);
+            Ok(files::fingerprint(&out.bytes()?))
+        }
+    }
+}
+
 fn bytes(model: &WorldModel) -> Result<Vec<u8>, TensorError> {
     let mut out = Writer::default();
     model.encoder.put(&mut out);
+    put_planning(model, &mut out);
+    out.bytes()
+}
+
+/// All but the encoder.
+fn put_planning(model: &WorldModel, out: &mut Writer) {
     out.f32("plane_c", &[LATENT, 2], model.plane_c.into_iter().flatten());
     out.f32("plane_u", &[LATENT, 2], model.plane_u.into_iter().flatten());
     out.f64("scale", &[1], [model.scale]);
-    model.linear.put(&mut out);
-    model.probe.put(&mut out);
-    model.heads.put(&mut out);
-    out.bytes()
+    model.linear.put(out);
+    model.probe.put(out);
+    model.heads.put(out);
 }
 
 fn parse(tensors: &[u8], config: &[u8], dir: &Path) -> Result<WorldModel, CheckpointError> {

@@ -4,6 +4,7 @@
 //! losses are in [`loss`]. A step is a function of the seed, its number and the state before it, so an
 //! interrupted run ends with the bytes of one that was not.
 
+pub mod adapt;
 pub mod batch;
 pub mod loss;
 pub mod readings;
@@ -46,8 +47,11 @@ pub enum LearnedError {
     /// Loss or gradient overflowed.
     #[error("step {0} of the learned encoder: the loss is not finite; lower learned.learning_rate")]
     Diverged(usize),
+    /// Only the learned encoder learns from a recording.
+    #[error("the world model has the encoder `{0}`, which no recording adapts: start from `learned`")]
+    NotLearned(&'static str),
     /// Too few episodes.
-    #[error("the recording has {found} episodes, and learned.held_out = {held_out} of them are not trained on")]
+    #[error("the recording has {found} episodes, and learned.encoder.held_out = {held_out} of them are not trained on")]
     Episodes {
         /// Episodes there.
         found: usize,
