@@ -3,8 +3,8 @@
 //! Positions are decoded as a ground station does it, with the model's own probe (for the learned encoder plain
 //! geometry): nothing is fitted to a case. Errors are l1 in px, in picture coordinates.
 
-use crpl_sitl::camera::cases::{CASES, CameraCase, Placement};
-use crpl_sitl::camera::{Body, Film, Poses, SIDE};
+use crpl_sitl::camera::cases::{CASES, Placement};
+use crpl_sitl::camera::{Body, CameraConfig, Film, Poses, SIDE};
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::noise::{Noise, Stream};
@@ -81,36 +81,49 @@ pub fn measure(model: &WorldModel, count: usize, scenario: &Scenario, noise: &No
         .iter()
         .enumerate()
         .map(|(n, case)| {
-            let looks = looks(model, n, case, count, scenario, noise);
+            let Ok(config) = case.config() else { return row(case.name, case.about, &[]) };
+            let looks = looks(model, n, (case.placement, &config), count, scenario, noise);
             if case.name == "hard" {
                 let of = |body: usize| looks.iter().map(|l| l.z[body]).collect::<Vec<_>>();
                 let at = |body: usize| looks.iter().map(|l| l.truth[body]).collect::<Vec<_>>();
                 leaks = [r_squared(&of(0), &at(1)), r_squared(&of(1), &at(0))];
             }
-            row(case, &looks)
+            row(case.name, case.about, &looks)
         })
         .collect();
     HardReport { hard: rows, leak_c_to_u: leaks[0], leak_u_to_c: leaks[1] }
+}
+
+/// Errors with one more camera, bodies anywhere whole.
+#[must_use]
+pub fn of_camera(
+    model: &WorldModel,
+    name: &str,
+    config: &CameraConfig,
+    count: usize,
+    scenario: &Scenario,
+    noise: &Noise,
+) -> HardRow {
+    row(name, "as given", &looks(model, CASES.len(), (Placement::Whole, config), count, scenario, noise))
 }
 
 /// Pictures of case `n`.
 fn looks(
     model: &WorldModel,
     n: usize,
-    case: &CameraCase,
+    (placement, config): (Placement, &CameraConfig),
     count: usize,
     scenario: &Scenario,
     noise: &Noise,
 ) -> Vec<Look> {
-    let Ok(config) = case.config() else { return Vec::new() };
     let films = count.div_ceil(PER_CAMERA);
     let looks = (0..films).into_par_iter().flat_map_iter(|film| {
         let mut rng = noise.generator(Stream::Evaluation, (1 << 40) | ((n as u64) << 20) | film as u64);
-        let camera = Film::new(&config, rng.random());
+        let camera = Film::new(config, rng.random());
         let radius = scenario.obstacle().radius * camera.obstacle_scale();
         (0..PER_CAMERA.min(count - film * PER_CAMERA))
             .map(|k| {
-                let [uav, obstacle] = place(case.placement, radius, scenario, &mut rng);
+                let [uav, obstacle] = place(placement, radius, scenario, &mut rng);
                 let speed = START_SPEED * rng.random::<f64>();
                 let body = |position, velocity, radius| Body { position, velocity, radius };
                 let poses = Poses {
@@ -151,7 +164,7 @@ fn place(placement: Placement, radius: f64, scenario: &Scenario, rng: &mut impl 
     }
 }
 
-fn row(case: &CameraCase, looks: &[Look]) -> HardRow {
+fn row(case: &str, about: &str, looks: &[Look]) -> HardRow {
     let l1 = |body: usize| looks.iter().map(|l| l.errors[body].abs().sum()).collect::<Vec<f64>>();
     let (c, u) = (l1(0), l1(1));
     let share = |lost: &dyn Fn(usize) -> bool| {
@@ -161,8 +174,8 @@ fn row(case: &CameraCase, looks: &[Look]) -> HardRow {
         [0, 1].map(|axis| quantile(&looks.iter().map(|l| l.errors[body][axis]).collect::<Vec<_>>(), 0.5))
     };
     HardRow {
-        case: case.name.into(),
-        about: case.about.into(),
+        case: case.into(),
+        about: about.into(),
         z_c_p90_px: quantile(&c, 0.9),
         z_u_p90_px: quantile(&u, 0.9),
         z_c_p50_px: quantile(&c, 0.5),

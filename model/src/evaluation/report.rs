@@ -177,10 +177,20 @@ pub fn measure(
         heads: heads_report(model, config.frames, (&trajectories, &known), scenario, &noise),
         actions: actions(model, &trajectories, &known, &noise),
         rank: rank(model, config.frames.min(2000), scenario, &noise),
-        cameras: hard::measure(model, config.frames.min(CASE_PICTURES), scenario, &noise),
+        cameras: cameras(model, config, scenario, &noise),
         states: robustness::robustness_table(model, config.frames.min(2000), scenario, &noise),
     };
     Measured { report, errors }
+}
+
+/// Every camera with a name, and that of the trajectories if it has none.
+fn cameras(model: &WorldModel, config: &ReportConfig, scenario: &Scenario, noise: &Noise) -> HardReport {
+    let count = config.frames.min(CASE_PICTURES);
+    let mut report = hard::measure(model, count, scenario, noise);
+    if report.hard.iter().all(|row| row.case != config.camera) {
+        report.hard.push(hard::of_camera(model, &config.camera, &scenario.camera, count, scenario, noise));
+    }
+    report
 }
 
 /// The trajectories of one start and all forecasts of them.
