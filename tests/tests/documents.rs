@@ -144,3 +144,12 @@ fn commands_print_what_the_pages_say() {
     }
     assert!(checked > 0, "no page states what a command prints");
 }
+
+#[test]
+fn every_camera_with_a_name_stands_in_docs_camera_under_its_number() {
+    let page = std::fs::read_to_string(program::workspace().join("docs/camera.md")).unwrap();
+    for (number, case) in crpl_sitl::camera::cases::CASES.iter().enumerate() {
+        let row = format!("| {number} | `{}` | {} |", case.name, case.about);
+        assert!(page.contains(&row), "{row}");
+    }
+}

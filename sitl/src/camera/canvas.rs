@@ -213,3 +213,34 @@ fn interleave(values: &[f32], bytes: &mut [u8]) {
         *pixel = [r, g, b].map(|value| value.round_ties_even() as u8);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ground_moves_with_the_shake_by_fractions_of_a_pixel() {
+        let plane = |value: fn(usize, usize) -> usize| {
+            (0..WIDE * WIDE).map(|n| value(n % WIDE, n / WIDE) as f32).collect::<Vec<f32>>()
+        };
+        let ground = Plane { planes: [plane(|x, _| x), plane(|_, y| y), plane(|_, _| 1)], mean: 0.0 };
+        let mut canvas = Canvas::of_ground(&ground, [1.5, -2.25]);
+        let [red, green, blue] = canvas.planes_mut().map(|plane| plane[20 * SIDE + 30]);
+        assert_eq!([red, green, blue], [30.0 + 8.0 - 1.5, 20.0 + 8.0 + 2.25, 1.0]);
+        // As far as a shake goes, and further than it can go, nothing is read beyond the ground.
+        for far in [-100.0, -8.0, 8.0, 100.0] {
+            let _ = Canvas::of_ground(&ground, [far, -far]);
+        }
+    }
+
+    #[test]
+    fn the_noise_is_normal() {
+        assert!(QUANTILES.is_sorted());
+        let mean = QUANTILES.iter().sum::<f32>() / SHARES as f32;
+        let variance = QUANTILES.iter().map(|q| q * q).sum::<f32>() / SHARES as f32;
+        assert!(mean.abs() < 1e-4 && (variance - 1.0).abs() < 2e-3, "{mean} {variance}");
+        // 97.5 % are below 1.96.
+        let below = QUANTILES.iter().filter(|q| **q < 1.959_964).count();
+        assert_eq!(below, (0.975 * SHARES as f64).round() as usize);
+    }
+}

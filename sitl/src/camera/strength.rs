@@ -52,6 +52,10 @@ impl Strength {
         within(self.low, least, most)
             .or_else(|| within(self.high, least, most))
             .or_else(|| within(self.share, 0.0, 1.0))
+            .or_else(|| {
+                let partial = least > 0.0 && self.share < 1.0;
+                partial.then(|| (self.share, "must be in all flights: its `share` must be 1".into()))
+            })
             .or_else(|| (self.low > self.high).then(|| (self.low, "must be at most its `high`".into())))
     }
 }
@@ -165,5 +169,8 @@ mod tests {
         {
             assert!(bad.violation(0.0, 1.0).is_some(), "{bad:?}");
         }
+        // What cannot be 0 cannot be left out of a flight.
+        let half = Strength { low: 1.0, high: 2.0, share: 0.5 };
+        assert!(half.violation(0.1, 10.0).is_some() && half.violation(0.0, 10.0).is_none());
     }
 }
