@@ -28,6 +28,12 @@ pub enum Stream {
     Camera = 7,
     /// Random scenarios.
     Worlds = 8,
+    /// Whether a packet of a radio is lost.
+    Packets = 9,
+    /// Small-scale fading of a radio channel.
+    Fading = 10,
+    /// Shadowing of a radio channel.
+    Shadow = 11,
 }
 
 /// Words of the key stream set aside for each tick; a draw of two normals needs four, rarely more.
