@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 
 use crate::lab::Contender;
-use crate::lab::parquet::{Column, Values};
+use crate::tools::parquet::{Column, Values};
 use crate::station::pilot::Controller;
 
 /// One flight's score.

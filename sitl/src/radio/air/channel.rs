@@ -77,9 +77,11 @@ impl AirChannel {
         &self.radio
     }
 
-    /// The same with another place of the station, north and east in m.
-    pub fn set_base(&mut self, place: [f64; 2]) {
-        self.radio.ground.place = place;
+    /// The station is at another place: north and east, and the height of the ground there, to which that of its
+    /// antenna is added, m.
+    pub fn set_base(&mut self, [north, east, ground]: [f64; 3]) {
+        self.radio.ground.place = [north, east];
+        self.radio.ground.height_m += ground;
     }
 
     /// The seed's chance.

@@ -112,6 +112,8 @@ struct Lane<T> {
     sending: Option<Sending<T>>,
     /// When the sender is free for the next frame.
     free: Nanos,
+    /// When its last packet ends.
+    on_air_until: Nanos,
     /// Frames that arrive later, in order.
     arriving: VecDeque<CarriedFrame<T>>,
     /// Lost frames, in order of their ends.
@@ -194,8 +196,8 @@ impl<T> Air<T> {
         self.place = Vector3::from(place);
     }
 
-    /// The station is at `place`: north and east, m.
-    pub fn set_base(&mut self, place: [f64; 2]) {
+    /// The station is at `place`: north and east, and the height of the ground there, m.
+    pub fn set_base(&mut self, place: [f64; 3]) {
         self.channel.set_base(place);
         for lane in &mut self.lanes {
             lane.budget = None;
@@ -299,14 +301,11 @@ impl<T> Air<T> {
         Some(self.window(way, ready.max(self.other_ends(way))))
     }
 
-    /// Until when the other way is on the air, where only one may be.
+    /// Until when the other way was or is on the air, where only one may be.
     fn other_ends(&self, way: Way) -> Nanos {
-        if self.radio().duplex != Duplex::Shared {
-            return 0;
-        }
-        match self.lanes[1 - way as usize].sending {
-            Some(Sending { phase: Phase::OnAir(end, _), .. }) => end,
-            _ => 0,
+        match self.radio().duplex {
+            Duplex::Shared => self.lanes[1 - way as usize].on_air_until,
+            Duplex::Full | Duplex::Slots { .. } => 0,
         }
     }
 
@@ -329,7 +328,7 @@ impl<T> Air<T> {
         }
     }
 
-    /// How long the next packet of a way takes at the SNR that was there last.
+    /// How long the next packet of a way takes at its slowest rate, so that no report of an SNR moves it.
     fn next_air_time(&self, way: Way) -> Nanos {
         let lane = &self.lanes[way as usize];
         let (bytes, left) = match (&lane.sending, lane.queue.front()) {
@@ -339,8 +338,7 @@ impl<T> Air<T> {
         };
         let modem = self.modem(way);
         let left = left.unwrap_or_else(|| modem.packets(bytes));
-        let snr_db = lane.budget.map_or(0.0, |(_, _, budget)| budget.snr_db());
-        modem.air_time(modem.packet(bytes, left), snr_db, self.radio().bandwidth_hz)
+        modem.air_time(modem.packet(bytes, left), f64::NEG_INFINITY, self.radio().bandwidth_hz)
     }
 
     fn step(&mut self, way: Way, now: Nanos) {
@@ -374,7 +372,9 @@ impl<T> Air<T> {
         frame.packets += 1;
         frame.snr_db = snr_db;
         sending.phase = Phase::OnAir(now + length, fate);
-        self.lanes[way as usize].sending = Some(sending);
+        let lane = &mut self.lanes[way as usize];
+        lane.on_air_until = now + length;
+        lane.sending = Some(sending);
     }
 
     /// A number in [0, 1) for the next packet of a kind.
@@ -443,6 +443,7 @@ impl<T> Lane<T> {
             queued_bytes: 0,
             sending: None,
             free: 0,
+            on_air_until: 0,
             arriving: VecDeque::new(),
             lost: VecDeque::new(),
             last_arrival: 0,

@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::radio::air::fading::Fading;
-use crate::radio::air::rate::fsk_bit_error;
+use crate::radio::air::rate::{FrameError, fsk_bit_error};
 use crate::units::Snr;
 
 fn preset(name: &str) -> AirRadio {
@@ -173,13 +173,12 @@ fn each_end_of_a_half_duplex_radio_keeps_to_its_windows() {
         let frames: Vec<_> =
             (0..2000).map(|k| (f64::from(k) * 0.0213, Way::BOTH[k as usize % 2], k % 7, 10)).collect();
         let out = carry(&mut air, &frames);
-        let round = up_s + down_s + 2.0 * guard_s;
+        let [up, down, guard] = [up_s, down_s, guard_s].map(|s| (s * 1e9).round() as u128);
         for frame in out.iter().filter(|frame| frame.packets == 1) {
-            let begins = frame.on_air.unwrap().as_secs_f64();
-            let (start, length) = if frame.way == Way::Up { (0.0, up_s) } else { (up_s + guard_s, down_s) };
-            let phase = begins.rem_euclid(round) - start;
-            let end = phase + frame.air_time.as_secs_f64();
-            assert!(phase > -1e-6 && end < length + 1e-6, "{name}: {} at {phase}", frame.way.name());
+            let phase = frame.on_air.unwrap().as_nanos() % (up + down + 2 * guard);
+            let (start, end) = if frame.way == Way::Up { (0, up) } else { (up + guard, up + guard + down) };
+            let good = phase >= start && phase + frame.air_time.as_nanos() <= end;
+            assert!(good, "{name}: {} at {phase} ns", frame.way.name());
         }
         assert!(share(&out, FrameFate::Arrived) > 0.99, "{name}");
     }
@@ -188,7 +187,7 @@ fn each_end_of_a_half_duplex_radio_keeps_to_its_windows() {
 #[test]
 fn on_a_shared_air_one_sends_at_a_time() {
     let mut radio = preset("wifi");
-    radio.fading = Fading::None;
+    (radio.up.error, radio.down.error) = (FrameError::None, FrameError::None);
     let mut air = air(radio, 3);
     air.set_place([50.0, 0.0, 20.0]);
     let frames: Vec<_> =
@@ -196,7 +195,8 @@ fn on_a_shared_air_one_sends_at_a_time() {
     let out = carry(&mut air, &frames);
     let mut times: Vec<_> = out.iter().map(|f| (f.on_air.unwrap(), f.on_air.unwrap() + f.air_time)).collect();
     times.sort_unstable();
-    assert!(times.windows(2).all(|pair| pair[0].1 <= pair[1].0));
+    let overlap = times.windows(2).find(|pair| pair[0].1 > pair[1].0);
+    assert!(overlap.is_none(), "{overlap:?}");
     assert_eq!(share(&out, FrameFate::Arrived), 1.0);
 }
 
