@@ -288,7 +288,8 @@ impl<T> Air<T> {
     /// The next beginning or end of a packet.
     fn next_step(&self) -> Option<(Nanos, Way)> {
         let steps = Way::BOTH.into_iter().filter_map(|way| Some((self.step_time(way)?, way)));
-        steps.min_by_key(|(time, way)| (*time, *way))
+        // Of two that may begin, the one that has waited longer.
+        steps.min_by_key(|(time, way)| (*time, self.lanes[*way as usize].on_air_until, *way))
     }
 
     fn step_time(&self, way: Way) -> Option<Nanos> {
