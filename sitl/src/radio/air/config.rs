@@ -262,6 +262,8 @@ pub struct Modem {
     pub packet_bytes: usize,
     /// Whether a packet has always the length of a full one.
     pub full_packets: bool,
+    /// Whether frames that wait share a packet, as many whole ones as fit in it and in the window.
+    pub join: bool,
     /// Bytes that may wait; a frame that finds no room is lost.
     pub queue_bytes: usize,
     /// How often a lost packet is sent again.
@@ -287,6 +289,7 @@ impl Default for Modem {
             gap_s: 0.0,
             packet_bytes: 0,
             full_packets: false,
+            join: false,
             queue_bytes: 1 << 20,
             retries: 0,
             retry_s: 0.0,

@@ -128,6 +128,10 @@ struct Lane<T> {
 #[derive(Debug)]
 struct Sending<T> {
     frame: CarriedFrame<T>,
+    /// Frames that share its packet.
+    joined: Vec<CarriedFrame<T>>,
+    /// All of them together.
+    bytes: usize,
     /// Packets that have not got through.
     left: u32,
     /// Repetitions of this packet.
@@ -313,14 +317,7 @@ impl<T> Air<T> {
     /// When a way may send a packet, from `time` on: in its own window, if the packet ends in it. One that is longer
     /// than a window begins with it.
     fn window(&self, way: Way, time: Nanos) -> Nanos {
-        let Duplex::Slots { up_s, down_s, guard_s } = self.radio().duplex else { return time };
-        let [up, down, guard] = [up_s, down_s, guard_s].map(from_seconds);
-        let (start, length) = match way {
-            Way::Up => (0, up),
-            Way::Down => (up + guard, down),
-        };
-        let round = (up + down + 2 * guard).max(1);
-        let begins = time - time % round + start;
+        let Some((begins, length, round)) = self.windows(way, time) else { return time };
         let latest = begins + length.saturating_sub(self.next_air_time(way));
         match time {
             _ if time <= begins => begins,
@@ -333,7 +330,7 @@ impl<T> Air<T> {
     fn next_air_time(&self, way: Way) -> Nanos {
         let lane = &self.lanes[way as usize];
         let (bytes, left) = match (&lane.sending, lane.queue.front()) {
-            (Some(sending), _) => (sending.frame.bytes, Some(sending.left)),
+            (Some(sending), _) => (sending.bytes, Some(sending.left)),
             (None, Some(frame)) => (frame.bytes, None),
             (None, None) => return 0,
         };
@@ -347,18 +344,52 @@ impl<T> Air<T> {
             Some(sending) if matches!(sending.phase, Phase::OnAir(..)) => self.end_packet(way, sending, now),
             Some(sending) => self.begin_packet(way, sending, now),
             None => {
-                let Some(frame) = self.lanes[way as usize].queue.pop_front() else { return };
-                let left = self.modem(way).packets(frame.bytes);
-                self.begin_packet(way, Sending { frame, left, repeats: 0, phase: Phase::Ready(now) }, now);
+                if let Some(sending) = self.next_frames(way, now) {
+                    self.begin_packet(way, sending, now);
+                }
             }
         }
+    }
+
+    /// The frame whose turn it is, and those that go in its packet.
+    fn next_frames(&mut self, way: Way, now: Nanos) -> Option<Sending<T>> {
+        let frame = self.lanes[way as usize].queue.pop_front()?;
+        let left = self.modem(way).packets(frame.bytes);
+        let (mut bytes, mut joined) = (frame.bytes, Vec::new());
+        while let Some(next) = self.lanes[way as usize].queue.front()
+            && self.modem(way).joins(bytes + next.bytes)
+            && nanos(next.offered) <= now
+            && self.fits(way, bytes + next.bytes, now)
+        {
+            bytes += next.bytes;
+            joined.extend(self.lanes[way as usize].queue.pop_front());
+        }
+        Some(Sending { frame, joined, bytes, left, repeats: 0, phase: Phase::Ready(now) })
+    }
+
+    /// Whether a packet that begins now ends in the window.
+    fn fits(&self, way: Way, bytes: usize, now: Nanos) -> bool {
+        let length = self.modem(way).air_time(bytes, f64::NEG_INFINITY, self.radio().bandwidth_hz);
+        self.windows(way, now).is_none_or(|(begins, window, _)| now + length <= begins + window)
+    }
+
+    /// Of half duplex, where this round's window of a way begins, its length, and that of a round.
+    fn windows(&self, way: Way, time: Nanos) -> Option<(Nanos, Nanos, Nanos)> {
+        let Duplex::Slots { up_s, down_s, guard_s } = self.radio().duplex else { return None };
+        let [up, down, guard] = [up_s, down_s, guard_s].map(from_seconds);
+        let (start, length) = match way {
+            Way::Up => (0, up),
+            Way::Down => (up + guard, down),
+        };
+        let round = (up + down + 2 * guard).max(1);
+        Some((time - time % round + start, length, round))
     }
 
     fn begin_packet(&mut self, way: Way, mut sending: Sending<T>, now: Nanos) {
         let snr_db = self.budget_at(now, way).snr_db();
         let bandwidth = self.radio().bandwidth_hz;
         let modem = self.modem(way);
-        let bytes = modem.packet(sending.frame.bytes, sending.left);
+        let bytes = modem.packet(sending.bytes, sending.left);
         let row = modem.rate.row(snr_db, bandwidth);
         let loss = modem.error.loss(snr_db, row, bandwidth, 8.0 * (bytes + modem.overhead_bytes) as f64);
         let length = modem.air_time(bytes, snr_db, bandwidth);
@@ -367,11 +398,14 @@ impl<T> Air<T> {
             true if snr_db < row.snr_db => FrameFate::Outage,
             true => FrameFate::Noise,
         };
-        let frame = &mut sending.frame;
-        frame.on_air.get_or_insert(Duration::from_nanos(now));
-        frame.air_time += Duration::from_nanos(length);
-        frame.packets += 1;
-        frame.snr_db = snr_db;
+        for frame in std::iter::once(&mut sending.frame).chain(&mut sending.joined) {
+            frame.on_air.get_or_insert(Duration::from_nanos(now));
+            // Of a packet that frames share, each has its part.
+            let part = if sending.bytes == frame.bytes { 1.0 } else { frame.bytes as f64 / sending.bytes as f64 };
+            frame.air_time += Duration::from_nanos((length as f64 * part).round() as Nanos);
+            frame.packets += 1;
+            frame.snr_db = snr_db;
+        }
         sending.phase = Phase::OnAir(now + length, fate);
         let lane = &mut self.lanes[way as usize];
         lane.on_air_until = now + length;
@@ -400,11 +434,12 @@ impl<T> Air<T> {
             sending.repeats += 1;
             sending.phase = Phase::Ready(again.max(next));
         } else {
-            sending.frame.fate = fate;
-            let delay = if fate == FrameFate::Arrived { self.latency(way, &sending.frame, now) } else { 0 };
-            let lane = &mut self.lanes[way as usize];
-            lane.free = next;
-            lane.finish(sending.frame, now + delay);
+            self.lanes[way as usize].free = next;
+            for mut frame in std::iter::once(sending.frame).chain(sending.joined) {
+                frame.fate = fate;
+                let delay = if fate == FrameFate::Arrived { self.latency(way, &frame, now) } else { 0 };
+                self.lanes[way as usize].finish(frame, now + delay);
+            }
             return;
         }
         self.lanes[way as usize].sending = Some(sending);
@@ -507,6 +542,11 @@ impl Modem {
             most if self.full_packets || left > 1 => most,
             most => bytes - most * (self.packets(bytes) as usize - 1),
         }
+    }
+
+    /// Whether frames of so many bytes together share a packet.
+    fn joins(&self, bytes: usize) -> bool {
+        self.join && bytes <= self.packet_bytes
     }
 
     /// How long a packet is on the air.
