@@ -93,7 +93,13 @@ pub struct Carrier {
 impl Carrier {
     /// A radio with the vehicle where `whereabouts` says. Commands that come later than `late` are told.
     #[must_use]
-    pub fn new(air: Air<Packet>, whereabouts: Whereabouts, clock: LinkClock, tells: Tells, late: Duration) -> Self {
+    pub fn new(
+        air: Air<Packet>,
+        whereabouts: Whereabouts,
+        clock: LinkClock,
+        tells: Tells,
+        late: Duration,
+    ) -> Self {
         let mut carrier = Self {
             air,
             whereabouts,
@@ -176,7 +182,9 @@ impl Carrier {
         loop {
             let moved = self.whereabouts.replay().and_then(|track| track.next_after(self.now));
             let report = (self.tells.status || self.tells.node).then_some(self.next_status);
-            let Some(next) = moved.into_iter().chain(report).min().filter(|next| *next <= time) else { break };
+            let Some(next) = moved.into_iter().chain(report).min().filter(|next| *next <= time) else {
+                break;
+            };
             self.poll(next);
             if moved == Some(next)
                 && let Some(place) = self.whereabouts.replay().and_then(|track| track.at(next))
@@ -430,7 +438,9 @@ mod tests {
         let table = lost.summary().table(true, at(10.0));
         assert!(table.contains("  COMMAND_LONG") && table.contains("100.0%"), "{table}");
         let text = lost.summary().prometheus(lost.air_reports());
-        assert!(text.contains("mavlink_link_lost_noise_frames_total{way=\"up\",message=\"COMMAND_LONG\",id=\"76\"} 1"));
+        assert!(text.contains(
+            "mavlink_link_lost_noise_frames_total{way=\"up\",message=\"COMMAND_LONG\",id=\"76\"} 1"
+        ));
         for line in text.lines().filter(|line| !line.starts_with('#')) {
             let name = line.split(['{', ' ']).next().unwrap();
             let base = name.trim_end_matches("_bucket").trim_end_matches("_sum").trim_end_matches("_count");
@@ -450,7 +460,8 @@ mod tests {
         let ledger = |seed| {
             let air = Air::new(AirRadio::named("lte").unwrap(), seed, 0).unwrap();
             let late = Duration::from_millis(100);
-            let mut carrier = Carrier::new(air, Whereabouts::default(), LinkClock::Wall, Tells::default(), late);
+            let mut carrier =
+                Carrier::new(air, Whereabouts::default(), LinkClock::Wall, Tells::default(), late);
             let (mut encoder, mut splitter) = (Encoder::new(1, 1), Splitter::default());
             let mut bytes = Vec::new();
             let mut ledger = Ledger::new(&mut bytes, &[]).unwrap();

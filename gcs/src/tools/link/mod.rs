@@ -144,9 +144,10 @@ fn open(args: &Link) -> Result<Carrier> {
     if let Some(base) = args.base {
         air.set_base(base.place());
     }
-    let replay = args.replay.as_deref().map(|path| {
-        Track::load(path).with_context(|| format!("reading {}", path.display()))
-    });
+    let replay = args
+        .replay
+        .as_deref()
+        .map(|path| Track::load(path).with_context(|| format!("reading {}", path.display())));
     let whereabouts = Whereabouts::new(args.base, args.sysid, replay.transpose()?);
     // A log has its own radio's reports in it.
     let tells = Tells {
@@ -221,7 +222,8 @@ impl LinkShell {
             Arrival::Bytes(from, length) => {
                 // Whom we speak to may answer from another of its addresses: it is one peer.
                 let known = self.links.fixed_at(from.endpoint).unwrap_or(from);
-                let peer = self.peers.entry(known).or_insert_with(|| LinkPeer { splitter: Splitter::default() });
+                let peer =
+                    self.peers.entry(known).or_insert_with(|| LinkPeer { splitter: Splitter::default() });
                 let way = if from.endpoint == VEHICLE { Way::Down } else { Way::Up };
                 self.carrier.receive(way, &mut peer.splitter, &buffer[..length], start.elapsed());
             }

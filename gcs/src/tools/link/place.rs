@@ -175,7 +175,9 @@ mod tests {
     fn bases_are_told_by_metres_or_degrees() {
         assert_eq!("25, 250,-2".parse(), Ok(Base::Local([25.0, 250.0, -2.0])));
         assert_eq!(Base::Local([1.0, 2.0, -3.0]).place(), [1.0, 2.0, 3.0]);
-        for (text, told) in [("1,2", "must be"), ("1,2,x", "must be"), ("geo:91,0,0", "range"), ("inf,0,0", "must be")] {
+        for (text, told) in
+            [("1,2", "must be"), ("1,2,x", "must be"), ("geo:91,0,0", "range"), ("inf,0,0", "must be")]
+        {
             assert!(text.parse::<Base>().unwrap_err().contains(told), "{text}");
         }
     }

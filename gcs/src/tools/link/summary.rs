@@ -71,7 +71,17 @@ impl LinkSummary {
     pub fn table(&self, kinds: bool, lasted: Duration) -> String {
         let mut text = format!(
             "{:<38} {:>8} {:>10} {:>7} {:>7} {:>7} {:>7} {:>9} {:>9} {:>9} {:>8}\n",
-            "way, message", "sent", "bytes", "lost", "noise", "outage", "queue", "p50 ms", "p95 ms", "p99 ms", "on air"
+            "way, message",
+            "sent",
+            "bytes",
+            "lost",
+            "noise",
+            "outage",
+            "queue",
+            "p50 ms",
+            "p95 ms",
+            "p99 ms",
+            "on air"
         );
         for way in Way::BOTH {
             let rows = || self.kinds.range((way, 0)..=(way, u32::MAX));
@@ -102,7 +112,8 @@ impl LinkSummary {
             ("air_seconds", "Time on the air.", |row| row.air_time.as_secs_f64()),
         ];
         let mut out = String::new();
-        let label = |way: Way, id: u32| format!("way=\"{}\",message=\"{}\",id=\"{id}\"", way.name(), name_of(id));
+        let label =
+            |way: Way, id: u32| format!("way=\"{}\",message=\"{}\",id=\"{id}\"", way.name(), name_of(id));
         for (name, help, value) in counters {
             let name = format!("mavlink_link_{name}_total");
             let _ = writeln!(out, "# HELP {name} {help}\n# TYPE {name} counter");

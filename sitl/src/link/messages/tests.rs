@@ -13,7 +13,9 @@ use super::param::{ParamRequestList, ParamRequestRead, ParamSet, ParamValue};
 use super::service::{FileTransfer, Ping, RequestDataStream, SetupSigning, Timesync};
 use super::setpoint::SetPositionTargetLocalNed;
 use super::status::{AutopilotVersion, Heartbeat, MessageInterval};
-use super::telemetry::{DebugVect, GlobalPositionInt, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
+use super::telemetry::{
+    DebugVect, GlobalPositionInt, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed,
+};
 use super::*;
 use crate::link::decoder::Decoder;
 use crate::link::dialect::*;

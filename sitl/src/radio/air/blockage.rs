@@ -186,9 +186,9 @@ fn crossing(a: Vector2<f64>, b: Vector2<f64>, corners: &[Vector2<f64>]) -> Optio
         ((0.0..=1.0).contains(&t) && (0.0..=1.0).contains(&u)).then_some(t)
     });
     let ends = [(a, 0.0), (b, 1.0)].into_iter().filter(|(end, _)| inside(*end, corners)).map(|(_, t)| t);
-    let (first, last) = cuts.chain(ends).fold((f64::INFINITY, f64::NEG_INFINITY), |(first, last), t| {
-        (first.min(t), last.max(t))
-    });
+    let (first, last) = cuts
+        .chain(ends)
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(first, last), t| (first.min(t), last.max(t)));
     (first <= last && way.norm() > 1e-9).then_some((first, last))
 }
 
@@ -199,8 +199,7 @@ fn sides(corners: &[Vector2<f64>]) -> impl Iterator<Item = (Vector2<f64>, Vector
 /// Whether a ray to the north crosses an odd number of sides.
 fn inside(point: Vector2<f64>, corners: &[Vector2<f64>]) -> bool {
     let crosses = |(p, q): (Vector2<f64>, Vector2<f64>)| {
-        (p.y > point.y) != (q.y > point.y)
-            && point.x < p.x + (point.y - p.y) / (q.y - p.y) * (q.x - p.x)
+        (p.y > point.y) != (q.y > point.y) && point.x < p.x + (point.y - p.y) / (q.y - p.y) * (q.x - p.x)
     };
     sides(corners).filter(|side| crosses(*side)).count() % 2 == 1
 }
@@ -212,9 +211,9 @@ fn nearest(a: Vector2<f64>, b: Vector2<f64>, corners: &[Vector2<f64>]) -> (f64, 
         (t, (point - (a + t * (b - a))).norm())
     };
     let at_corner = corners.iter().map(|corner| along(*corner));
-    let at_end = [(a, 0.0), (b, 1.0)].into_iter().flat_map(|(end, t)| {
-        sides(corners).map(move |(p, q)| (t, distance_to_sight_line(q, end, p)))
-    });
+    let at_end = [(a, 0.0), (b, 1.0)]
+        .into_iter()
+        .flat_map(|(end, t)| sides(corners).map(move |(p, q)| (t, distance_to_sight_line(q, end, p))));
     at_corner.chain(at_end).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0.5, f64::INFINITY))
 }
 
@@ -250,8 +249,8 @@ const STOREY_M: f64 = 3.0;
 /// The file cannot be read or holds no features.
 pub fn buildings(path: &Path, origin: [f64; 2], default_height_m: f64) -> Result<Vec<Prism>, BuildingsError> {
     let name = || path.display().to_string();
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| BuildingsError::Read { path: name(), source })?;
+    let text =
+        std::fs::read_to_string(path).map_err(|source| BuildingsError::Read { path: name(), source })?;
     geojson(&text, origin, default_height_m).map_err(|why| BuildingsError::Parse { path: name(), why })
 }
 
@@ -330,7 +329,11 @@ mod tests {
     #[test]
     fn a_house_in_the_way_obstructs_by_its_nearest_edge() {
         let low = worst(&house(20.0), [0.0, 0.0, 10.0], [100.0, 0.0, 10.0]);
-        assert_eq!((low.reach, low.ends), (10.0, [50.0, 50.0]), "around its sides, which are as near as the roof");
+        assert_eq!(
+            (low.reach, low.ends),
+            (10.0, [50.0, 50.0]),
+            "around its sides, which are as near as the roof"
+        );
         let roof = worst(&house(12.0), [0.0, 0.0, 10.0], [100.0, 0.0, 10.0]);
         assert!((roof.reach - 2.0).abs() < 1e-9 && (roof.ends[0] - 60.0).abs() < 1e-9, "{roof:?}");
         let over = worst(&house(20.0), [0.0, 0.0, 10.0], [100.0, 0.0, 60.0]);

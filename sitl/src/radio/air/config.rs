@@ -443,7 +443,8 @@ impl AirRadio {
     /// It is wrong.
     pub fn parse(text: &str, origin: &str) -> Result<Self, RadioError> {
         let parse = |why: String| RadioError::Parse { origin: origin.into(), why };
-        let mut table: toml::Table = text.parse().map_err(|error: toml::de::Error| parse(error.to_string()))?;
+        let mut table: toml::Table =
+            text.parse().map_err(|error: toml::de::Error| parse(error.to_string()))?;
         if let Some(base) = table.remove("extends") {
             let known = base.as_str().and_then(|name| PRESETS.iter().find(|preset| preset.name == name));
             let preset = known.ok_or_else(|| parse(format!("extends = {base} is no preset")))?;
@@ -486,7 +487,12 @@ impl AirRadio {
         }
         for prism in &self.prisms {
             positive("prism.height_m", prism.height_m)?;
-            range("prism.corners", prism.corners.len() as f64, prism.corners.len() > 2, "at least 3 corners")?;
+            range(
+                "prism.corners",
+                prism.corners.len() as f64,
+                prism.corners.len() > 2,
+                "at least 3 corners",
+            )?;
         }
         Ok(())
     }
@@ -540,7 +546,9 @@ impl AirEnd {
         for &power in &self.powers_dbm {
             range(&format!("{name}.powers_dbm"), power, power.is_finite(), "finite")?;
         }
-        for (key, value) in [("gain_dbi", self.gain_dbi), ("height_m", self.height_m), ("loss_db", self.loss_db)] {
+        for (key, value) in
+            [("gain_dbi", self.gain_dbi), ("height_m", self.height_m), ("loss_db", self.loss_db)]
+        {
             range(&format!("{name}.{key}"), value, value.is_finite(), "finite")?;
         }
         not_negative(&format!("{name}.noise_figure_db"), self.noise_figure_db)?;
@@ -665,7 +673,10 @@ mod tests {
             ("[up]\nrate = { model = \"fixed\", bps = 1, snr_db = 1, gap = 2 }", "unknown field `gap`"),
             ("[up]\nrate = { model = \"table\", rows = [] }", "up.rate.rows is 0, must be at least 1 row"),
             ("[ground]\npower = 3", "ground.power is 3, must be an index of powers_dbm"),
-            ("path = { model = \"two-ray\", permittivity = 0.5 }", "path.permittivity is 0.5, must be at least 1"),
+            (
+                "path = { model = \"two-ray\", permittivity = 0.5 }",
+                "path.permittivity is 0.5, must be at least 1",
+            ),
             ("[[prism]]\ncorners = [[0, 0]]\nheight_m = 3", "prism.corners is 1"),
             ("extends = \"sik\"", "extends = \"sik\" is no preset"),
             ("extends = \"sik-57\"\nslot_s = 0", "slot_s is 0"),

@@ -401,7 +401,8 @@ impl<T> Air<T> {
         for frame in std::iter::once(&mut sending.frame).chain(&mut sending.joined) {
             frame.on_air.get_or_insert(Duration::from_nanos(now));
             // Of a packet that frames share, each has its part.
-            let part = if sending.bytes == frame.bytes { 1.0 } else { frame.bytes as f64 / sending.bytes as f64 };
+            let part =
+                if sending.bytes == frame.bytes { 1.0 } else { frame.bytes as f64 / sending.bytes as f64 };
             frame.air_time += Duration::from_nanos((length as f64 * part).round() as Nanos);
             frame.packets += 1;
             frame.snr_db = snr_db;
@@ -462,7 +463,8 @@ impl<T> Air<T> {
     /// Hands out what is settled by `now`, in order of time.
     fn release(&mut self, now: Nanos, each: &mut impl FnMut(CarriedFrame<T>)) {
         loop {
-            let next = self.lanes.iter().enumerate().filter_map(|(k, lane)| Some((lane.next_settled()?, k))).min();
+            let next =
+                self.lanes.iter().enumerate().filter_map(|(k, lane)| Some((lane.next_settled()?, k))).min();
             let Some((_, lane)) = next.filter(|(time, _)| *time <= now) else { return };
             if let Some(frame) = self.lanes[lane].pop_settled() {
                 each(frame);

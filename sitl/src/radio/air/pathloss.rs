@@ -122,8 +122,7 @@ pub fn rma_los(ends: &Ends, carrier: f64) -> f64 {
 #[must_use]
 pub fn rma_nlos(ends: &Ends, carrier: f64) -> f64 {
     let ([h, w], base, ghz) = (RMA, ends.base_height, carrier / 1e9);
-    let loss = 161.04 - 7.1 * w.log10() + 7.5 * h.log10()
-        - (24.37 - 3.7 * (h / base).powi(2)) * base.log10()
+    let loss = 161.04 - 7.1 * w.log10() + 7.5 * h.log10() - (24.37 - 3.7 * (h / base).powi(2)) * base.log10()
         + (43.42 - 3.1 * base.log10()) * (ends.distance().log10() - 3.0)
         + 20.0 * ghz.log10()
         - (3.2 * (11.75 * ends.height).log10().powi(2) - 4.97);
@@ -301,7 +300,10 @@ mod tests {
         near(rma_av_nlos(&at, 2e9), 99.66);
         // Near the ground they are the terrestrial ones; high up the sight line is always free.
         let low = ends(500.0, [35.0, 1.5]);
-        assert_eq!([uma_av_nlos(&low, 2e9), rma_av_los(&low, 2e9)], [uma_nlos(&low, 2e9), rma_los(&low, 2e9)]);
+        assert_eq!(
+            [uma_av_nlos(&low, 2e9), rma_av_los(&low, 2e9)],
+            [uma_nlos(&low, 2e9), rma_los(&low, 2e9)]
+        );
         assert_eq!([uma_av_sight(&Ends { height: 101.0, ..at }), rma_av_sight(&at)], [1.0; 2]);
         // Table B-1 at 50 m and 1 km: d1 = 81.53 m, p1 = 3505.7 m.
         let chance = uma_av_sight(&Ends { height: 50.0, ..at });

@@ -59,8 +59,11 @@ impl Track {
         let mut track = Self::default();
         for (text, line) in lines.filter(|(text, _)| !text.trim().is_empty()) {
             let error = |why| TrackError::Line { line, why };
-            let numbers: Vec<f64> =
-                text.split(',').map_while(|part| part.trim().parse().ok()).filter(|x: &f64| x.is_finite()).collect();
+            let numbers: Vec<f64> = text
+                .split(',')
+                .map_while(|part| part.trim().parse().ok())
+                .filter(|x: &f64| x.is_finite())
+                .collect();
             let [time, x, y, z] = numbers[..] else { return Err(error("not four numbers")) };
             let time = Duration::try_from_secs_f64(time).map_err(|_| error("a time below 0"))?;
             if track.points.last().is_some_and(|(last, _)| *last > time) {

@@ -49,7 +49,8 @@ fn near(measured: f64, expected: f64, what: &str) {
 
 #[test]
 fn the_perfect_radio_takes_no_time_and_loses_nothing() {
-    let frames: Vec<_> = (0..2000).map(|k| (f64::from(k) * 1e-5, Way::BOTH[k as usize % 2], 0, 280)).collect();
+    let frames: Vec<_> =
+        (0..2000).map(|k| (f64::from(k) * 1e-5, Way::BOTH[k as usize % 2], 0, 280)).collect();
     let out = carry(&mut air(preset("perfect"), 0), &frames);
     assert_eq!(out.len(), 2000);
     assert!(out.iter().zip(0..).all(|(frame, k)| frame.frame == k && frame.fate == FrameFate::Arrived));
