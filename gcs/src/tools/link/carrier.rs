@@ -434,12 +434,12 @@ mod tests {
         let mut lost = carrier("sik-57", LinkClock::Wall, Tells::default());
         let (mut encoder, mut splitter) = (Encoder::new(1, 1), Splitter::default());
         lost.receive(Way::Down, &mut splitter, &position(&mut encoder, 0, 9e6), at(0.0));
-        assert_eq!(command(&mut lost, 1.0), ["COMPONENT_ARM_DISARM of 1.00 s was lost: noise"]);
+        assert_eq!(command(&mut lost, 1.0), ["COMPONENT_ARM_DISARM of 1.00 s was lost: outage"]);
         let table = lost.summary().table(true, at(10.0));
         assert!(table.contains("  COMMAND_LONG") && table.contains("100.0%"), "{table}");
         let text = lost.summary().prometheus(lost.air_reports());
         assert!(text.contains(
-            "mavlink_link_lost_noise_frames_total{way=\"up\",message=\"COMMAND_LONG\",id=\"76\"} 1"
+            "mavlink_link_lost_outage_frames_total{way=\"up\",message=\"COMMAND_LONG\",id=\"76\"} 1"
         ));
         for line in text.lines().filter(|line| !line.starts_with('#')) {
             let name = line.split(['{', ' ']).next().unwrap();
