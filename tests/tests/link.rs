@@ -72,7 +72,8 @@ fn a_lockstep_flight_through_a_radio_is_the_flight_without_it() {
     let folder = tempfile::tempdir().unwrap();
     let (_direct, address) = lockstep();
     let expected = flown(&format!("udpout:{address}"), &folder.path().join("direct"));
-    for radio in [&["--radio", "perfect"][..], &["--radio", "sik-57", "--clock", "vehicle"]] {
+    // A picture of 10 kB finds no room in a SiK radio's queue, in an LTE modem's it does.
+    for radio in [&["--radio", "perfect"][..], &["--radio", "lte", "--clock", "vehicle"]] {
         let (sitl, address) = lockstep();
         let (link, ground) = link(address, radio);
         let record = flown(&format!("udpout:{ground}"), &folder.path().join(radio[1]));

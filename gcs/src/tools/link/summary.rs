@@ -103,6 +103,7 @@ impl LinkSummary {
     #[must_use]
     pub fn prometheus(&self, reports: [AirReport; 2]) -> String {
         type Value = fn(&KindRow) -> f64;
+        type Gauge = fn(&AirReport) -> f64;
         let counters: [(&str, &str, Value); 6] = [
             ("frames", "Frames offered to the radio.", |row| row.sent as f64),
             ("bytes", "Bytes offered to the radio.", |row| row.bytes as f64),
@@ -121,7 +122,7 @@ impl LinkSummary {
                 let _ = writeln!(out, "{name}{{{}}} {}", label(*way, *id), value(row));
             }
         }
-        let gauges: [(&str, &str, fn(&AirReport) -> f64); 3] = [
+        let gauges: [(&str, &str, Gauge); 3] = [
             ("snr_db", "SNR at the receiver, dB.", |report| report.budget.snr_db()),
             ("rssi_dbm", "Received power, dBm.", |report| report.budget.rssi_dbm),
             ("queue_room_ratio", "Free part of the sender's queue.", |report| report.room),
