@@ -116,9 +116,7 @@ impl Carrier {
             late,
             words: Vec::new(),
         };
-        if let Some(place) = carrier.whereabouts.replay().and_then(|track| track.at(Duration::ZERO)) {
-            carrier.set_place(place);
-        }
+        carrier.set_place();
         carrier
     }
 
@@ -155,14 +153,13 @@ impl Carrier {
             let since = told.time_boot_ms.saturating_sub(*self.boot_ms.get_or_insert(told.time_boot_ms));
             self.carry_to(Duration::from_millis(since.into()));
         }
-        if let Some(place) = self.whereabouts.hear(frame, self.now) {
-            self.carry_to(self.now);
-            self.set_place(place);
-        }
+        self.whereabouts.hear(frame, self.now);
     }
 
-    fn set_place(&mut self, [north, east, down]: [f64; 3]) {
-        self.air.set_place([north, east, -down]);
+    fn set_place(&mut self) {
+        if let Some([north, east, down]) = self.whereabouts.track().at(self.now) {
+            self.air.set_place([north, east, -down]);
+        }
     }
 
     /// The wall's time has passed.
@@ -177,19 +174,17 @@ impl Carrier {
         }
     }
 
-    /// Goes on to a time of the radio, past each place of a recording and each report on the way.
+    /// Goes on to a time of the radio, past each change of place and each report on the way.
     fn carry_to(&mut self, time: Duration) {
         loop {
-            let moved = self.whereabouts.replay().and_then(|track| track.next_after(self.now));
-            let report = (self.tells.status || self.tells.node).then_some(self.next_status);
+            let moved = self.whereabouts.track().next_after(self.now);
+            let report = self.next_report();
             let Some(next) = moved.into_iter().chain(report).min().filter(|next| *next <= time) else {
                 break;
             };
             self.poll(next);
-            if moved == Some(next)
-                && let Some(place) = self.whereabouts.replay().and_then(|track| track.at(next))
-            {
-                self.set_place(place);
+            if moved == Some(next) {
+                self.set_place();
             }
             if report == Some(next) {
                 self.report();
@@ -248,9 +243,12 @@ impl Carrier {
         if self.clock == LinkClock::Vehicle {
             return None;
         }
-        let moved = self.whereabouts.replay().and_then(|track| track.next_after(self.now));
-        let report = (self.tells.status || self.tells.node).then_some(self.next_status);
-        self.air.next_event().into_iter().chain(moved).chain(report).min()
+        let moved = self.whereabouts.track().next_after(self.now);
+        self.air.next_event().into_iter().chain(moved).chain(self.next_report()).min()
+    }
+
+    fn next_report(&self) -> Option<Duration> {
+        (self.tells.status || self.tells.node).then_some(self.next_status)
     }
 
     /// Hands out the datagrams that leave for the receiver of each way.
@@ -342,7 +340,7 @@ mod tests {
 
     fn carrier(radio: &str, clock: LinkClock, tells: Tells) -> Carrier {
         let air = Air::new(AirRadio::named(radio).unwrap(), 3, 0).unwrap();
-        Carrier::new(air, Whereabouts::default(), clock, tells, Duration::from_millis(100))
+        Carrier::new(air, Whereabouts::new(None, None, None), clock, tells, Duration::from_millis(100))
     }
 
     fn at(seconds: f64) -> Duration {
@@ -460,8 +458,13 @@ mod tests {
         let ledger = |seed| {
             let air = Air::new(AirRadio::named("lte").unwrap(), seed, 0).unwrap();
             let late = Duration::from_millis(100);
-            let mut carrier =
-                Carrier::new(air, Whereabouts::default(), LinkClock::Wall, Tells::default(), late);
+            let mut carrier = Carrier::new(
+                air,
+                Whereabouts::new(None, None, None),
+                LinkClock::Wall,
+                Tells::default(),
+                late,
+            );
             let (mut encoder, mut splitter) = (Encoder::new(1, 1), Splitter::default());
             let mut bytes = Vec::new();
             let mut ledger = Ledger::new(&mut bytes, &[]).unwrap();

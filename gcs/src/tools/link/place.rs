@@ -55,31 +55,39 @@ pub struct Whereabouts {
     base: Option<Base>,
     /// The system that is listened to: the first that tells a place, unless one was named.
     system: Option<u8>,
-    /// A recording, which then counts in place of what is heard.
-    replay: Option<Track>,
+    /// Whether the track is a recording, which then counts in place of what is heard.
+    replays: bool,
     /// Whether it has told its place in its own local frame, which then counts.
     local: bool,
     /// Where it was on Earth first, for one that tells no local frame: latitude and longitude, degrees.
     first: Option<[f64; 2]>,
-    /// Where it was so far.
+    /// Where it was so far; the origin until it has told its place.
     track: Track,
 }
+
+/// A place that is told counts from the next instant on, so that a recording of it gives the same to every frame.
+const INSTANT: Duration = Duration::from_nanos(1);
 
 impl Whereabouts {
     /// Of a system, or of the first that tells a place, seen from a base.
     #[must_use]
     pub fn new(base: Option<Base>, system: Option<u8>, replay: Option<Track>) -> Self {
-        Self { base, system, replay, ..Self::default() }
+        let replays = replay.is_some();
+        let mut track = replay.unwrap_or_default();
+        if !replays {
+            track.push(Duration::ZERO, [0.0; 3]);
+        }
+        Self { base, system, replays, track, ..Self::default() }
     }
 
     /// A frame has come from the vehicle's side: its place in it, north, east and down in m, if there is one.
     pub fn hear(&mut self, frame: &PacketRef<'_>, now: Duration) -> Option<[f64; 3]> {
-        if self.replay.is_some() || self.system.is_some_and(|system| system != frame.system) {
+        if self.replays || self.system.is_some_and(|system| system != frame.system) {
             return None;
         }
         let place = self.told(frame).filter(|place| place.iter().all(|metres| metres.is_finite()))?;
         self.system.get_or_insert(frame.system);
-        self.track.push(now, place);
+        self.track.push(now + INSTANT, place);
         Some(place)
     }
 
@@ -99,16 +107,10 @@ impl Whereabouts {
         Some([north, east, -metres(told.heights[1])])
     }
 
-    /// The recording that counts, if one does.
-    #[must_use]
-    pub fn replay(&self) -> Option<&Track> {
-        self.replay.as_ref()
-    }
-
-    /// Where it was so far, to be written down.
+    /// Where it is and was.
     #[must_use]
     pub fn track(&self) -> &Track {
-        self.replay.as_ref().unwrap_or(&self.track)
+        &self.track
     }
 }
 
@@ -145,7 +147,7 @@ mod tests {
 
     #[test]
     fn the_local_frame_counts_once_it_is_told() {
-        let mut whereabouts = Whereabouts::default();
+        let mut whereabouts = Whereabouts::new(None, None, None);
         assert_eq!(hear(&mut whereabouts, 1, &global(470_000_000)), Some([0.0, 0.0, -30.0]));
         let [north, ..] = hear(&mut whereabouts, 1, &global(470_010_000)).unwrap();
         assert!((north - 111.3).abs() < 0.1, "{north}");
@@ -153,6 +155,8 @@ mod tests {
         assert_eq!(hear(&mut whereabouts, 1, &global(470_020_000)), None);
         assert_eq!(hear(&mut whereabouts, 2, &local(6.0)), None, "another system");
         assert_eq!(hear(&mut whereabouts, 1, &local(f32::NAN)), None);
+        assert_eq!(whereabouts.track().at(Duration::ZERO), Some([0.0; 3]), "not yet");
+        assert_eq!(whereabouts.track().at(INSTANT), Some([5.0, 2.0, -3.0]));
     }
 
     #[test]
