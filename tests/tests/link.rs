@@ -38,6 +38,17 @@ fn number(table: &str, row: &str, column: usize) -> f64 {
     word.trim_end_matches('%').parse().unwrap_or_else(|_| panic!("{word} in\n{table}"))
 }
 
+/// Each of these begins a line that ends with a time.
+#[track_caller]
+fn tells(told: &str, what: &[&str]) {
+    for what in what {
+        assert!(
+            told.lines().any(|line| line.starts_with(what) && line.ends_with(" s")),
+            "no {what} in\n{told}"
+        );
+    }
+}
+
 /// 19 km from its station a SiK radio loses a good part of all packets. Lists and missions still end, and the table
 /// says how long they took.
 #[test]
@@ -48,11 +59,60 @@ fn parameters_and_missions_complete_at_the_edge_of_range() {
     assert!(said.ends_with("ok"), "{said}");
     let told = end(link);
     println!("{told}");
-    for what in ["parameters arrived in", "mission up: 6 items in", "mission down: 6 items in"] {
-        assert!(told.lines().any(|line| line.contains(what) && line.ends_with(" s")), "no {what} in\n{told}");
-    }
+    tells(&told, &["parameters down: ", "mission up: 6 entries in ", "mission down: 6 entries in "]);
     // The air, not a full queue, is what the edge of range is about.
     assert!(number(&told, "down", 3) - number(&told, "down", 6) > 5.0, "{told}");
+}
+
+/// The same for MAVSDK, whose user asks again when it has given up.
+#[test]
+fn mavsdk_has_a_mission_go_up_and_down_at_the_edge_of_range() {
+    let (_sitl, vehicle) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let (link, ground) = link(vehicle, &["--radio", "sik-57", "--base", "250,-18000,0", "--seed", "4"]);
+    let said = python::script("link_mavsdk.py", &[ground.to_string()]).unwrap().good().unwrap();
+    assert!(said.ends_with("ok"), "{said}");
+    let told = end(link);
+    println!("{told}");
+    tells(&told, &["mission up: 6 entries in ", "mission down: 6 entries in "]);
+}
+
+/// The same for MAVProxy, which asks again by itself.
+#[test]
+fn mavproxy_has_parameters_and_a_mission_at_the_edge_of_range() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan.waypoints");
+    let item = |seq, latitude| format!("{seq}\t0\t3\t16\t0\t0\t0\t0\t{latitude}\t8.5456\t100\t1\n");
+    let items: String = (0..3).map(|seq| item(seq, 47.4 + 0.001 * f64::from(seq))).collect();
+    std::fs::write(&plan, format!("QGC WPL 110\n{items}")).unwrap();
+    let (_sitl, vehicle) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let (link, ground) = link(vehicle, &["--radio", "sik-57", "--base", "250,-18000,0", "--seed", "4"]);
+    let mut command = python::tool("mavproxy.py").unwrap();
+    command.args([
+        "--master",
+        &format!("udpout:{ground}"),
+        "--default-modules",
+        "wp,param",
+        "--aircraft=test",
+    ]);
+    command.arg("--state-basedir").arg(folder.path()).current_dir(folder.path());
+    let mut mavproxy = Program::converse("mavproxy.py", command).unwrap();
+    for (say, hears) in [
+        (None, "Received 78 parameters"),
+        (Some(format!("wp load {}", plan.display())), "MISSION_ACK: TYPE_MISSION: ACCEPTED"),
+        (Some("wp list".into()), "Saved 3 waypoints"),
+    ] {
+        if let Some(say) = say {
+            mavproxy.tell(&say).unwrap();
+        }
+        mavproxy.hears(hears).unwrap();
+    }
+    mavproxy.tell("exit").unwrap();
+    let told = end(link);
+    println!("{told}");
+    tells(
+        &told,
+        &["parameters down: 78 entries in ", "mission up: 3 entries in ", "mission down: 3 entries in "],
+    );
 }
 
 fn flown(endpoint: &str, folder: &Path) -> String {
