@@ -340,7 +340,13 @@ mod tests {
 
     fn carrier(radio: &str, clock: LinkClock, tells: Tells) -> Carrier {
         let air = Air::new(AirRadio::named(radio).unwrap(), 3, 0).unwrap();
-        Carrier::new(air, Whereabouts::new(None, None, None), clock, tells, Duration::from_millis(100))
+        Carrier::new(
+            air,
+            Whereabouts::new(None, None, [10.0, 0.0, 0.0], None),
+            clock,
+            tells,
+            Duration::from_millis(100),
+        )
     }
 
     fn at(seconds: f64) -> Duration {
@@ -460,7 +466,7 @@ mod tests {
             let late = Duration::from_millis(100);
             let mut carrier = Carrier::new(
                 air,
-                Whereabouts::new(None, None, None),
+                Whereabouts::new(None, None, [10.0, 0.0, 0.0], None),
                 LinkClock::Wall,
                 Tells::default(),
                 late,

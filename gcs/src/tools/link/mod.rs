@@ -118,6 +118,9 @@ const LINKS: LinkOptions = LinkOptions {
     udp_peers: Some(UdpPeers { most: 64, silence: Duration::from_secs(60) }),
 };
 
+/// Until it has told its place, a vehicle is taken to be so far north of the station, m: then it can be asked for it.
+const BESIDE_M: f64 = 10.0;
+
 /// The vehicle's endpoint is the first.
 const VEHICLE: usize = 0;
 
@@ -148,7 +151,9 @@ fn open(args: &Link) -> Result<Carrier> {
         .replay
         .as_deref()
         .map(|path| Track::load(path).with_context(|| format!("reading {}", path.display())));
-    let whereabouts = Whereabouts::new(args.base, args.sysid, replay.transpose()?);
+    let [north, east] = air.radio().ground.place;
+    let start = [north + BESIDE_M, east, -args.base.map_or(0.0, |base| base.place()[2])];
+    let whereabouts = Whereabouts::new(args.base, args.sysid, start, replay.transpose()?);
     // A log has its own radio's reports in it.
     let tells = Tells {
         status: !args.quiet && args.traffic.is_none(),

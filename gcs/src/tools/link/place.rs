@@ -61,7 +61,7 @@ pub struct Whereabouts {
     local: bool,
     /// Where it was on Earth first, for one that tells no local frame: latitude and longitude, degrees.
     first: Option<[f64; 2]>,
-    /// Where it was so far; the origin until it has told its place.
+    /// Where it was so far, from the place on at which it is taken to be until it has told one.
     track: Track,
 }
 
@@ -69,13 +69,14 @@ pub struct Whereabouts {
 const INSTANT: Duration = Duration::from_nanos(1);
 
 impl Whereabouts {
-    /// Of a system, or of the first that tells a place, seen from a base.
+    /// Of a system, or of the first that tells a place, seen from a base. Until it has told one it is at `start`: north,
+    /// east, down, m.
     #[must_use]
-    pub fn new(base: Option<Base>, system: Option<u8>, replay: Option<Track>) -> Self {
+    pub fn new(base: Option<Base>, system: Option<u8>, start: [f64; 3], replay: Option<Track>) -> Self {
         let replays = replay.is_some();
         let mut track = replay.unwrap_or_default();
         if !replays {
-            track.push(Duration::ZERO, [0.0; 3]);
+            track.push(Duration::ZERO, start);
         }
         Self { base, system, replays, track, ..Self::default() }
     }
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn the_local_frame_counts_once_it_is_told() {
-        let mut whereabouts = Whereabouts::new(None, None, None);
+        let mut whereabouts = Whereabouts::new(None, None, [9.0; 3], None);
         assert_eq!(hear(&mut whereabouts, 1, &global(470_000_000)), Some([0.0, 0.0, -30.0]));
         let [north, ..] = hear(&mut whereabouts, 1, &global(470_010_000)).unwrap();
         assert!((north - 111.3).abs() < 0.1, "{north}");
@@ -155,13 +156,14 @@ mod tests {
         assert_eq!(hear(&mut whereabouts, 1, &global(470_020_000)), None);
         assert_eq!(hear(&mut whereabouts, 2, &local(6.0)), None, "another system");
         assert_eq!(hear(&mut whereabouts, 1, &local(f32::NAN)), None);
-        assert_eq!(whereabouts.track().at(Duration::ZERO), Some([0.0; 3]), "not yet");
+        assert_eq!(whereabouts.track().at(Duration::ZERO), Some([9.0; 3]), "not yet");
         assert_eq!(whereabouts.track().at(INSTANT), Some([5.0, 2.0, -3.0]));
     }
 
     #[test]
     fn a_base_on_earth_is_where_places_count_from() {
-        let mut whereabouts = Whereabouts::new(Some("geo:47.0,8.0,500".parse().unwrap()), None, None);
+        let mut whereabouts =
+            Whereabouts::new(Some("geo:47.0,8.0,500".parse().unwrap()), None, [9.0; 3], None);
         assert_eq!(hear(&mut whereabouts, 1, &local(5.0)), None);
         let [north, east, down] = hear(&mut whereabouts, 1, &global(470_010_000)).unwrap();
         assert!((north - 111.3).abs() < 0.1 && east.abs() < 1e-6 && (down + 30.0).abs() < 1e-9);
@@ -170,7 +172,7 @@ mod tests {
     #[test]
     fn a_recording_counts_in_place_of_what_is_heard() {
         let track = Track::parse("time,x,y,z\n0,1,2,3\n").unwrap();
-        let mut whereabouts = Whereabouts::new(None, None, Some(track.clone()));
+        let mut whereabouts = Whereabouts::new(None, None, [9.0; 3], Some(track.clone()));
         assert_eq!(hear(&mut whereabouts, 1, &local(5.0)), None);
         assert_eq!(whereabouts.track(), &track);
     }

@@ -108,7 +108,7 @@ fn sik_57_loses_by_range_as_bit_errors_under_rician_fading_say() {
         let out = carry(&mut air, &frames);
         assert_eq!(out.len(), frames.len());
         let snr_db = still.budget(Way::Down, Vector3::from(place), 0).snr_db();
-        let k = radio.fading.factor((98.5 / range_m).atan()).unwrap();
+        let k = radio.fading.factor((98.7 / range_m).atan()).unwrap();
         // Frames that share a packet share its fate, so the length of the packet counts.
         let mut packets = BTreeMap::<Duration, usize>::new();
         out.iter().for_each(|frame| *packets.entry(frame.on_air.unwrap()).or_default() += frame.bytes);
