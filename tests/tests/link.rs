@@ -132,14 +132,19 @@ fn a_lockstep_flight_through_a_radio_is_the_flight_without_it() {
     let folder = tempfile::tempdir().unwrap();
     let (_direct, address) = lockstep();
     let expected = flown(&format!("udpout:{address}"), &folder.path().join("direct"));
-    // A picture of 10 kB finds no room in a SiK radio's queue, in an LTE modem's it does.
-    for radio in [&["--radio", "perfect"][..], &["--radio", "lte", "--clock", "vehicle"]] {
+    // Every fiftieth packet is lost. A picture of 10 kB would find no room in a SiK radio's queue.
+    let lossy = "retries = 0\nerror = { model = \"waterfall\", per = 0.02, width_db = 1e9 }\n";
+    let file = folder.path().join("lossy.toml");
+    std::fs::write(&file, format!("extends = \"lte\"\n[up]\n{lossy}[down]\n{lossy}")).unwrap();
+    let lossy = ["--radio", file.to_str().unwrap(), "--clock", "vehicle"];
+    for (name, radio, lost) in [("perfect", &["--radio", "perfect"][..], 0.0), ("lossy", &lossy, 0.5)] {
         let (sitl, address) = lockstep();
         let (link, ground) = link(address, radio);
-        let record = flown(&format!("udpout:{ground}"), &folder.path().join(radio[1]));
-        assert_eq!(record, expected, "{radio:?}");
+        let record = flown(&format!("udpout:{ground}"), &folder.path().join(name));
+        assert_eq!(record, expected, "{name}");
         sitl.wait().unwrap().good().unwrap();
-        assert!(number(&end(link), "down", 1) > 100.0, "{radio:?}");
+        let table = end(link);
+        assert!(number(&table, "down", 1) > 100.0 && number(&table, "down", 3) >= lost, "{table}");
     }
 }
 
