@@ -58,7 +58,7 @@ enum GcsCommand {
     /// Route MAVLink between a vehicle and several tools, and count packets
     Bridge(bridge::Bridge),
     /// Put a radio between a vehicle and its tools: slow and lossy as its geometry says
-    Link(link::Link),
+    Link(link::RadioLink),
     /// List, read, set, load and save a vehicle's parameters
     Param(param::Params),
     /// Upload, download and clear a vehicle's mission

@@ -40,7 +40,7 @@ use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::program::terminal::{interrupted, positive, say};
 use crpl_sitl::radio::air::config::table;
-use crpl_sitl::radio::air::track::Track;
+use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::radio::air::{Air, AirRadio, Way};
 use tokio::time::{Instant, sleep_until};
 
@@ -53,7 +53,7 @@ use place::{Base, Whereabouts};
 /// Flags of `gcs link`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = table())]
-pub struct Link {
+pub struct RadioLink {
     /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT", required_unless_present = "traffic", conflicts_with = "traffic")]
     vehicle: Option<Endpoint>,
@@ -128,7 +128,7 @@ const VEHICLE: usize = 0;
 ///
 /// # Errors
 /// A radio, file or endpoint that cannot be opened.
-pub async fn run(args: Link) -> Result<()> {
+pub async fn run(args: RadioLink) -> Result<()> {
     let carrier = open(&args)?;
     let notes = [("radio", args.radio.as_str()), ("seed", &args.seed.to_string())];
     let ledger = args.ledger.as_deref().map(|path| Ledger::create(path, &notes)).transpose()?;
@@ -141,7 +141,7 @@ pub async fn run(args: Link) -> Result<()> {
 }
 
 /// The radio of the flags.
-fn open(args: &Link) -> Result<Carrier> {
+fn open(args: &RadioLink) -> Result<Carrier> {
     let radio = AirRadio::named(&args.radio)?;
     let mut air = Air::new(radio, args.seed, args.number)?;
     if let Some(base) = args.base {
@@ -150,7 +150,7 @@ fn open(args: &Link) -> Result<Carrier> {
     let replay = args
         .replay
         .as_deref()
-        .map(|path| Track::load(path).with_context(|| format!("reading {}", path.display())));
+        .map(|path| GeometryTrack::load(path).with_context(|| format!("reading {}", path.display())));
     let [north, east] = air.radio().ground.place;
     let start = [north + BESIDE_M, east, -args.base.map_or(0.0, |base| base.place()[2])];
     let whereabouts = Whereabouts::new(args.base, args.sysid, start, replay.transpose()?);
@@ -178,7 +178,7 @@ struct LinkShell {
 }
 
 impl LinkShell {
-    async fn serve(&mut self, args: &Link) -> Result<()> {
+    async fn serve(&mut self, args: &RadioLink) -> Result<()> {
         for (role, endpoint) in
             args.vehicle.iter().map(|e| ("vehicle", e)).chain(args.ground.iter().map(|e| ("ground", e)))
         {
@@ -288,7 +288,7 @@ impl LinkShell {
         self.note()
     }
 
-    async fn end(mut self, args: &Link) -> Result<()> {
+    async fn end(mut self, args: &RadioLink) -> Result<()> {
         self.links.close().await;
         self.note()?;
         if let Some(ledger) = self.ledger.take() {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::telemetry::{GlobalPositionInt, LocalPositionNed};
 use crpl_sitl::link::packet::PacketRef;
-use crpl_sitl::radio::air::track::Track;
+use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::units::earth;
 
 /// Where the station stands.
@@ -62,7 +62,7 @@ pub struct Whereabouts {
     /// Where it was on Earth first, for one that tells no local frame: latitude and longitude, degrees.
     first: Option<[f64; 2]>,
     /// Where it was so far, from the place on at which it is taken to be until it has told one.
-    track: Track,
+    track: GeometryTrack,
 }
 
 /// A place that is told counts from the next instant on, so that a recording of it gives the same to every frame.
@@ -72,7 +72,12 @@ impl Whereabouts {
     /// Of a system, or of the first that tells a place, seen from a base. Until it has told one it is at `start`: north,
     /// east, down, m.
     #[must_use]
-    pub fn new(base: Option<Base>, system: Option<u8>, start: [f64; 3], replay: Option<Track>) -> Self {
+    pub fn new(
+        base: Option<Base>,
+        system: Option<u8>,
+        start: [f64; 3],
+        replay: Option<GeometryTrack>,
+    ) -> Self {
         let replays = replay.is_some();
         let mut track = replay.unwrap_or_default();
         if !replays {
@@ -110,7 +115,7 @@ impl Whereabouts {
 
     /// Where it is and was.
     #[must_use]
-    pub fn track(&self) -> &Track {
+    pub fn track(&self) -> &GeometryTrack {
         &self.track
     }
 }
@@ -171,7 +176,7 @@ mod tests {
 
     #[test]
     fn a_recording_counts_in_place_of_what_is_heard() {
-        let track = Track::parse("time,x,y,z\n0,1,2,3\n").unwrap();
+        let track = GeometryTrack::parse("time,x,y,z\n0,1,2,3\n").unwrap();
         let mut whereabouts = Whereabouts::new(None, None, [9.0; 3], Some(track.clone()));
         assert_eq!(hear(&mut whereabouts, 1, &local(5.0)), None);
         assert_eq!(whereabouts.track(), &track);

@@ -118,7 +118,7 @@ impl Surroundings {
     /// The edge of the obstacle that reaches farthest over the sight line from `base` to `vehicle`.
     #[must_use]
     pub fn worst(&self, base: Vector3<f64>, vehicle: Vector3<f64>) -> Option<Edge> {
-        let sight = Sight { base, vehicle };
+        let sight = SightLine { base, vehicle };
         let discs = self.discs.iter().map(|disc| sight.past_disc(disc));
         let edges = discs.chain(self.prisms.iter().map(|prism| sight.past_prism(prism)));
         edges.max_by(|a, b| a.reach.total_cmp(&b.reach))
@@ -126,12 +126,12 @@ impl Surroundings {
 }
 
 /// The sight line.
-struct Sight {
+struct SightLine {
     base: Vector3<f64>,
     vehicle: Vector3<f64>,
 }
 
-impl Sight {
+impl SightLine {
     fn plan(&self) -> [Vector2<f64>; 2] {
         [self.base.xy(), self.vehicle.xy()]
     }

@@ -212,7 +212,7 @@ mod tests {
                 channel.radio.ground.power = level;
                 let ours = Snr::from_db(channel.budget(Way::Up, place, 3).snr_db()).0;
                 let gain = obstacles.gain(uav, &scenario);
-                let theirs = channel::snr(gain, f64::from(power.level()), &scenario.channel).0;
+                let theirs = channel::snr(gain, power.level(), &scenario.channel).0;
                 assert!((ours / theirs - 1.0).abs() < 1e-9, "{uav:?} {power:?}: {ours} {theirs}");
             }
         }

@@ -11,7 +11,7 @@ const HEAD: &str = "time,x,y,z";
 
 /// A recorded geometry.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Track {
+pub struct GeometryTrack {
     /// By rising time: north, east, down, m.
     points: Vec<(Duration, [f64; 3])>,
 }
@@ -38,7 +38,7 @@ pub enum TrackError {
     Empty,
 }
 
-impl Track {
+impl GeometryTrack {
     /// Reads a file.
     ///
     /// # Errors
@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn a_place_holds_until_the_next() {
-        let track = Track::parse(TEXT).unwrap();
+        let track = GeometryTrack::parse(TEXT).unwrap();
         for (time, x) in [(0.0, 1.0), (1.4, 1.0), (1.5, 4.0), (1.9, 4.0), (99.0, 7.0)] {
             assert_eq!(track.at(Duration::from_secs_f64(time)).unwrap()[0], x, "{time}");
         }
@@ -124,13 +124,13 @@ mod tests {
 
     #[test]
     fn a_csv_comes_back_as_it_was() {
-        let mut track = Track::default();
+        let mut track = GeometryTrack::default();
         track.push(Duration::from_nanos(123), [0.1 + 0.2, f64::from(1.1_f32), -1e-7]);
         track.push(Duration::from_secs(5), [1.0; 3]);
         track.push(Duration::from_secs(6), [1.0; 3]);
         track.push(Duration::from_secs(4), [2.0; 3]);
         assert_eq!(track.points.len(), 2, "neither a repetition nor the past");
-        assert_eq!(Track::parse(&track.to_csv()).unwrap(), track);
+        assert_eq!(GeometryTrack::parse(&track.to_csv()).unwrap(), track);
     }
 
     #[test]
@@ -143,7 +143,7 @@ mod tests {
             ("time,x,y,z\n-1,2,3,4\n", "line 2: a time below 0"),
             ("time,x,y,z\n2,2,3,4\n1,2,3,4\n", "line 3: a time before"),
         ] {
-            let error = Track::parse(text).unwrap_err().to_string();
+            let error = GeometryTrack::parse(text).unwrap_err().to_string();
             assert!(error.contains(told), "{text:?}: {error}");
         }
     }
