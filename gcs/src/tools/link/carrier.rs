@@ -40,13 +40,13 @@ pub struct Tells {
 
 /// Frames that leave on one side.
 #[derive(Debug, Default)]
-struct Batch {
+struct OutBatch {
     bytes: Vec<u8>,
     /// Where datagrams end, but for the last.
     ends: Vec<usize>,
 }
 
-impl Batch {
+impl OutBatch {
     fn push(&mut self, frame: &[u8]) {
         let begin = self.ends.last().copied().unwrap_or(0);
         if self.bytes.len() > begin && self.bytes.len() - begin + frame.len() > DATAGRAM {
@@ -82,7 +82,7 @@ pub struct Carrier {
     tells: Tells,
     encoders: [Encoder; 2],
     next_status: Duration,
-    out: [Batch; 2],
+    out: [OutBatch; 2],
     settled: Vec<CarriedFrame<Packet>>,
     summary: LinkSummary,
     exchanges: Exchanges,
@@ -109,7 +109,7 @@ impl Carrier {
             tells,
             encoders: [(); 2].map(|()| Encoder::new(SIK_SYSTEM, RADIO)),
             next_status: STATUS_PERIOD,
-            out: [Batch::default(), Batch::default()],
+            out: [OutBatch::default(), OutBatch::default()],
             settled: Vec::new(),
             summary: LinkSummary::default(),
             exchanges: Exchanges::default(),
@@ -333,7 +333,7 @@ mod tests {
     use crpl_sitl::link::dialect::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavMessage};
     use crpl_sitl::radio::air::AirRadio;
 
-    use super::super::ledger::Ledger;
+    use super::super::ledger::FrameLedger;
     use super::*;
 
     const ALL: Tells = Tells { status: true, node: true };
@@ -473,7 +473,7 @@ mod tests {
             );
             let (mut encoder, mut splitter) = (Encoder::new(1, 1), Splitter::default());
             let mut bytes = Vec::new();
-            let mut ledger = Ledger::new(&mut bytes, &[]).unwrap();
+            let mut ledger = FrameLedger::new(&mut bytes, &[]).unwrap();
             for k in 0..500_u32 {
                 let report = position(&mut encoder, k, 40.0 * k as f32);
                 carrier.receive(Way::Down, &mut splitter, &report, at(f64::from(k) * 0.05));

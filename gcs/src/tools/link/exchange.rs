@@ -18,21 +18,21 @@ const MISSION_REQUEST_LIST: u32 = 43;
 /// Transfers under way, and those that ended.
 #[derive(Debug, Default)]
 pub struct Exchanges {
-    params: Option<Download>,
-    mission: Option<Download>,
+    params: Option<ListDownload>,
+    mission: Option<ListDownload>,
     upload: Option<(Duration, u16)>,
     ended: Vec<String>,
 }
 
 /// A list that the station fetches: it is whole when each of its entries has arrived, in whatever order.
 #[derive(Debug)]
-struct Download {
+struct ListDownload {
     began: Duration,
     count: Option<u16>,
     arrived: BTreeSet<u16>,
 }
 
-impl Download {
+impl ListDownload {
     fn new(began: Duration) -> Self {
         Self { began, count: None, arrived: BTreeSet::new() }
     }
@@ -69,13 +69,13 @@ impl Exchanges {
     fn asked(&mut self, frame: &CarriedFrame<Packet>) {
         let (packet, began) = (&frame.frame, frame.offered);
         if ParamRequestList::of(packet).is_some() {
-            self.params.get_or_insert_with(|| Download::new(began));
+            self.params.get_or_insert_with(|| ListDownload::new(began));
         }
         if let Some(count) = MissionCount::of(packet) {
             self.upload.get_or_insert((began, count.count));
         }
         if packet.id == MISSION_REQUEST_LIST && MissionList::of(packet).is_some() {
-            self.mission.get_or_insert_with(|| Download::new(began));
+            self.mission.get_or_insert_with(|| ListDownload::new(began));
         }
     }
 

@@ -58,12 +58,12 @@ impl From<&CarriedFrame<Packet>> for LedgerRow {
 
 /// Writes rows as they come.
 #[derive(Debug)]
-pub struct Ledger<W: Write + Send> {
+pub struct FrameLedger<W: Write + Send> {
     file: ParquetFile<W>,
     rows: Vec<LedgerRow>,
 }
 
-impl Ledger<BufWriter<File>> {
+impl FrameLedger<BufWriter<File>> {
     /// A ledger in a file; `notes` are pairs of key and value that say what it is of.
     ///
     /// # Errors
@@ -74,7 +74,7 @@ impl Ledger<BufWriter<File>> {
     }
 }
 
-impl<W: Write + Send> Ledger<W> {
+impl<W: Write + Send> FrameLedger<W> {
     /// A ledger without rows.
     ///
     /// # Errors

@@ -47,7 +47,7 @@ use tokio::time::{Instant, sleep_until};
 use crate::tools::bridge::metrics;
 use crate::tools::replay;
 use carrier::{Carrier, LinkClock, Tells};
-use ledger::Ledger;
+use ledger::FrameLedger;
 use place::{Base, Whereabouts};
 
 /// Flags of `gcs link`.
@@ -131,7 +131,7 @@ const VEHICLE: usize = 0;
 pub async fn run(args: RadioLink) -> Result<()> {
     let carrier = open(&args)?;
     let notes = [("radio", args.radio.as_str()), ("seed", &args.seed.to_string())];
-    let ledger = args.ledger.as_deref().map(|path| Ledger::create(path, &notes)).transpose()?;
+    let ledger = args.ledger.as_deref().map(|path| FrameLedger::create(path, &notes)).transpose()?;
     let mut shell = LinkShell { carrier, ledger, links: Links::new(LINKS), peers: BTreeMap::new() };
     match &args.traffic {
         Some(path) => shell.carry_log(path)?,
@@ -172,7 +172,7 @@ struct LinkPeer {
 #[derive(Debug)]
 struct LinkShell {
     carrier: Carrier,
-    ledger: Option<Ledger<BufWriter<File>>>,
+    ledger: Option<FrameLedger<BufWriter<File>>>,
     links: Links,
     peers: BTreeMap<PeerId, LinkPeer>,
 }

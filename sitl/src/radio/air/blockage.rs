@@ -16,7 +16,7 @@ use crate::world::channel::{distance_to_sight_line, sigmoid};
 /// An upright cylinder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Disc {
+pub struct DiscObstacle {
     /// Its centre: north, east, m.
     pub centre: [f64; 2],
     /// m.
@@ -57,7 +57,7 @@ pub enum BlockageLoss {
 impl BlockageLoss {
     /// The loss in dB, by how far the obstacle reaches over the sight line.
     #[must_use]
-    pub fn db(&self, edge: &Edge, carrier: f64) -> f64 {
+    pub fn db(&self, edge: &BlockingEdge, carrier: f64) -> f64 {
         match *self {
             Self::KnifeEdge { limit_db } => knife_edge(edge.fresnel(carrier)).min(limit_db),
             Self::Soft { attenuation, softness_m } => {
@@ -79,14 +79,14 @@ pub fn knife_edge(nu: f64) -> f64 {
 
 /// The edge over which a wave passes an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Edge {
+pub struct BlockingEdge {
     /// How far the obstacle reaches over the sight line there, m; negative where the line passes it.
     pub reach: f64,
     /// Distances to the station and to the vehicle, m.
     pub ends: [f64; 2],
 }
 
-impl Edge {
+impl BlockingEdge {
     /// ν = h √(2 / λ (1 / d1 + 1 / d2)): ITU-R P.526-15, Eq. (26).
     #[must_use]
     pub fn fresnel(&self, carrier: f64) -> f64 {
@@ -98,14 +98,14 @@ impl Edge {
 /// All that stands around.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surroundings {
-    discs: Vec<Disc>,
+    discs: Vec<DiscObstacle>,
     prisms: Vec<Prism>,
 }
 
 impl Surroundings {
     /// These discs and prisms.
     #[must_use]
-    pub fn new(discs: Vec<Disc>, prisms: Vec<Prism>) -> Self {
+    pub fn new(discs: Vec<DiscObstacle>, prisms: Vec<Prism>) -> Self {
         Self { discs, prisms }
     }
 
@@ -117,8 +117,8 @@ impl Surroundings {
 
     /// The edge of the obstacle that reaches farthest over the sight line from `base` to `vehicle`.
     #[must_use]
-    pub fn worst(&self, base: Vector3<f64>, vehicle: Vector3<f64>) -> Option<Edge> {
-        let sight = SightLine { base, vehicle };
+    pub fn worst(&self, base: Vector3<f64>, vehicle: Vector3<f64>) -> Option<BlockingEdge> {
+        let sight = AirPath { base, vehicle };
         let discs = self.discs.iter().map(|disc| sight.past_disc(disc));
         let edges = discs.chain(self.prisms.iter().map(|prism| sight.past_prism(prism)));
         edges.max_by(|a, b| a.reach.total_cmp(&b.reach))
@@ -126,27 +126,27 @@ impl Surroundings {
 }
 
 /// The sight line.
-struct SightLine {
+struct AirPath {
     base: Vector3<f64>,
     vehicle: Vector3<f64>,
 }
 
-impl SightLine {
+impl AirPath {
     fn plan(&self) -> [Vector2<f64>; 2] {
         [self.base.xy(), self.vehicle.xy()]
     }
 
     /// The edge at part `t` in [0, 1] of the way.
-    fn edge(&self, t: f64, reach: f64) -> Edge {
+    fn edge(&self, t: f64, reach: f64) -> BlockingEdge {
         let d = (self.vehicle - self.base).norm();
-        Edge { reach, ends: [t * d, (1.0 - t) * d] }
+        BlockingEdge { reach, ends: [t * d, (1.0 - t) * d] }
     }
 
     fn height(&self, t: f64) -> f64 {
         self.base.z + t * (self.vehicle.z - self.base.z)
     }
 
-    fn past_disc(&self, disc: &Disc) -> Edge {
+    fn past_disc(&self, disc: &DiscObstacle) -> BlockingEdge {
         let [base, vehicle] = self.plan();
         let centre = Vector2::from(disc.centre);
         let way = vehicle - base;
@@ -156,7 +156,7 @@ impl SightLine {
         self.edge(t, side.min(top))
     }
 
-    fn past_prism(&self, prism: &Prism) -> Edge {
+    fn past_prism(&self, prism: &Prism) -> BlockingEdge {
         let [base, vehicle] = self.plan();
         let corners: Vec<Vector2<f64>> = prism.corners.iter().copied().map(Vector2::from).collect();
         let Some((enters, leaves)) = crossing(base, vehicle, &corners) else {
@@ -311,7 +311,7 @@ mod tests {
         Surroundings::new(Vec::new(), vec![Prism { corners, height_m }])
     }
 
-    fn worst(around: &Surroundings, base: [f64; 3], vehicle: [f64; 3]) -> Edge {
+    fn worst(around: &Surroundings, base: [f64; 3], vehicle: [f64; 3]) -> BlockingEdge {
         around.worst(base.into(), vehicle.into()).unwrap()
     }
 
@@ -322,7 +322,7 @@ mod tests {
             assert!((knife_edge(nu) - published).abs() < 0.1, "{nu}: {}", knife_edge(nu));
         }
         // P.526, Eq. (26): 10 m over the line in the middle of 2 km at 300 MHz: ν = 10 √(2 / 0.99931 * 0.002).
-        let edge = Edge { reach: 10.0, ends: [1e3, 1e3] };
+        let edge = BlockingEdge { reach: 10.0, ends: [1e3, 1e3] };
         assert!((edge.fresnel(300e6) - 0.6327).abs() < 1e-3, "{}", edge.fresnel(300e6));
     }
 
@@ -349,10 +349,10 @@ mod tests {
 
     #[test]
     fn a_disc_obstructs_from_the_side_and_from_below() {
-        let disc = Disc { centre: [50.0, 3.0], radius_m: 5.0, height_m: None };
+        let disc = DiscObstacle { centre: [50.0, 3.0], radius_m: 5.0, height_m: None };
         let around = Surroundings::new(vec![disc], Vec::new());
         assert!((worst(&around, [0.0, 0.0, 5.0], [100.0, 0.0, 5.0]).reach - 2.0).abs() < 1e-9);
-        let stump = Surroundings::new(vec![Disc { height_m: Some(6.0), ..disc }], Vec::new());
+        let stump = Surroundings::new(vec![DiscObstacle { height_m: Some(6.0), ..disc }], Vec::new());
         assert!((worst(&stump, [0.0, 0.0, 5.0], [100.0, 0.0, 5.0]).reach - 1.0).abs() < 1e-9);
         assert_eq!(Surroundings::default().worst(Vector3::zeros(), Vector3::x()), None);
     }
@@ -366,7 +366,7 @@ mod tests {
         let ratio = channel::gain(uav, obstacle, 0.1, &channel) / channel::los_gain(uav, &channel);
         // North is y, east is x; 500 m are one unit.
         let ned = |r: Vector2<f64>| [500.0 * r.y, 500.0 * r.x];
-        let disc = Disc { centre: ned(obstacle), radius_m: 50.0, height_m: None };
+        let disc = DiscObstacle { centre: ned(obstacle), radius_m: 50.0, height_m: None };
         let around = Surroundings::new(vec![disc], Vec::new());
         let [base, vehicle] = [channel.base_station, uav].map(|r| [ned(r)[0], ned(r)[1], 100.0]);
         let soft = BlockageLoss::Soft { attenuation: channel.nlos_attenuation, softness_m: 10.0 };

@@ -4,7 +4,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::blockage::Surroundings;
 use super::config::{AirEnd, AirRadio, PathModel, RadioError, SightRule};
-use super::fading::{Field, normal_distribution};
+use super::fading::{ShadowField, normal_distribution};
 use super::pathloss::{self, Ends};
 use crate::units::noise::Noise;
 
@@ -54,8 +54,8 @@ pub struct AirChannel {
     radio: AirRadio,
     around: Surroundings,
     noise: Noise,
-    shadow: Field,
-    sight: Field,
+    shadow: ShadowField,
+    sight: ShadowField,
     link: u64,
 }
 
@@ -66,7 +66,7 @@ impl AirChannel {
     /// The file of the buildings is wrong.
     pub fn new(radio: AirRadio, seed: u64, link: u64) -> Result<Self, RadioError> {
         let noise = Noise::new(seed);
-        let field = |kind: u64| Field::new(&noise, mix([link, kind, 0, 0]), radio.shadowing.distance_m);
+        let field = |kind: u64| ShadowField::new(&noise, mix([link, kind, 0, 0]), radio.shadowing.distance_m);
         let (shadow, sight) = (field(0), field(1));
         Ok(Self { around: radio.surroundings()?, shadow, sight, radio, noise, link })
     }

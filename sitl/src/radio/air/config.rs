@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::blockage::{self, BlockageLoss, BuildingsError, Disc, Prism, Surroundings};
+use super::blockage::{self, BlockageLoss, BuildingsError, DiscObstacle, Prism, Surroundings};
 use super::fading::{Fading, Shadowing};
 use super::rate::{AirRate, FrameError};
 
@@ -42,7 +42,7 @@ pub struct AirRadio {
     pub blockage: BlockageLoss,
     /// Obstacles: tables `[[disc]]`.
     #[serde(rename = "disc")]
-    pub discs: Vec<Disc>,
+    pub discs: Vec<DiscObstacle>,
     /// Obstacles: tables `[[prism]]`.
     #[serde(rename = "prism")]
     pub prisms: Vec<Prism>,

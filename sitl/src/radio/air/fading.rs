@@ -75,11 +75,11 @@ const WAVES: usize = 256;
 /// Electron. Lett. 27(23), 1991, Eq. (1). It is the sum of plane waves with that spectrum, so it is a function of
 /// seed and place alone.
 #[derive(Debug, Clone)]
-pub struct Field {
+pub struct ShadowField {
     waves: Vec<(Vector2<f64>, f64)>,
 }
 
-impl Field {
+impl ShadowField {
     /// The field number `index` of a seed.
     #[must_use]
     pub fn new(noise: &Noise, index: u64, distance_m: f64) -> Self {
@@ -122,7 +122,7 @@ mod tests {
         let step = Vector2::new(50.0, 0.0);
         let (mut square, mut product, count) = (0.0, 0.0, 20_000);
         for seed in 0..count {
-            let field = Field::new(&Noise::new(seed), 0, 50.0);
+            let field = ShadowField::new(&Noise::new(seed), 0, 50.0);
             let place = Vector2::new(seed as f64, 7.0);
             square += field.at(place).powi(2);
             product += field.at(place) * field.at(place + step);

@@ -119,7 +119,7 @@ struct Lane<T> {
     /// Lost frames, in order of their ends.
     lost: VecDeque<CarriedFrame<T>>,
     last_arrival: Nanos,
-    draws: Draws,
+    draws: KindDraws,
     budget: Option<(Nanos, Vector3<f64>, Budget)>,
     counts: [u64; 3],
 }
@@ -149,12 +149,12 @@ enum Phase {
 
 /// How often a kind has drawn in the slot.
 #[derive(Debug, Default)]
-struct Draws {
+struct KindDraws {
     slot: u64,
     kinds: Vec<(u32, u64)>,
 }
 
-impl Draws {
+impl KindDraws {
     /// The number of the kind's next draw in a slot.
     fn next(&mut self, slot: u64, kind: u32) -> u64 {
         if self.slot != slot {
@@ -485,7 +485,7 @@ impl<T> Lane<T> {
             arriving: VecDeque::new(),
             lost: VecDeque::new(),
             last_arrival: 0,
-            draws: Draws::default(),
+            draws: KindDraws::default(),
             budget: None,
             counts: [0; 3],
         }
