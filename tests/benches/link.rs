@@ -101,7 +101,8 @@ fn main() {
     vehicle.connect(link.line("vehicle: listening on udpin:").unwrap()).unwrap();
     let through = measure(&vehicle, station, length);
     through.print("gcs link --radio perfect");
-    drop(link);
+    link.interrupt().unwrap();
+    println!("{}", link.wait().unwrap().good().unwrap().trim_end());
     let added = through.heard.percentile(0.99).saturating_sub(direct.heard.percentile(0.99));
     println!("added at p99: {} us", added.as_micros());
 }

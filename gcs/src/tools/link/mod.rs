@@ -39,6 +39,7 @@ use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::program::terminal::{interrupted, positive, say};
+use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::radio::air::config::table;
 use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::radio::air::{Air, AirRadio, Way};
@@ -194,7 +195,7 @@ impl LinkShell {
             say(&format!("metrics: http://{address}/metrics"));
             scrapes = Some(requests);
         }
-        let start = Instant::now();
+        let (start, cost) = (Instant::now(), Stopwatch::default());
         let mut buffer = vec![0; BUFFER];
         let mut interrupted = std::pin::pin!(interrupted());
         loop {
@@ -207,7 +208,11 @@ impl LinkShell {
                     // A client that has gone away wants no answer.
                     let _ = reply.send(self.carrier.summary().prometheus(reports));
                 }
-                _ = &mut interrupted => return Ok(()),
+                _ = &mut interrupted => {
+                    let (wall, cpu) = cost.seconds();
+                    say(&format!("{wall:.1} s, CPU {cpu:.2} s"));
+                    return Ok(());
+                }
             }
             self.flush().await;
             self.note()?;
