@@ -204,6 +204,19 @@ fn a_log_through_a_radio_gives_the_same_ledger_on_a_busy_machine() {
     assert!(carry("other", &["--seed", "2"]).0 != first, "another seed");
 }
 
+/// A disk without room for the ledger stops no frame, and the exit code tells.
+#[test]
+fn a_full_disk_ends_the_ledger_and_not_the_link() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("flight.tlog");
+    write_log(&log);
+    let args = ["link", "--traffic", log.to_str().unwrap(), "--radio", "perfect", "--ledger", "/dev/full"];
+    let finished = program::run("gcs", &args).unwrap();
+    assert_eq!(finished.status.code(), Some(1));
+    assert!(finished.stderr.contains("writing the ledger"), "{}", finished.stderr);
+    assert_eq!(number(&finished.stdout, "down", 1), 660.0);
+}
+
 #[test]
 fn a_radio_that_is_none_is_told_in_one_line() {
     let refused = |radio: &str| {

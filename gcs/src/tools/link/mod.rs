@@ -133,7 +133,8 @@ pub async fn run(args: RadioLink) -> Result<()> {
     let carrier = open(&args)?;
     let notes = [("radio", args.radio.as_str()), ("seed", &args.seed.to_string())];
     let ledger = args.ledger.as_deref().map(|path| FrameLedger::create(path, &notes)).transpose()?;
-    let mut shell = LinkShell { carrier, ledger, links: Links::new(LINKS), peers: BTreeMap::new() };
+    let links = Links::new(LINKS);
+    let mut shell = LinkShell { carrier, ledger, ledger_error: None, links, peers: BTreeMap::new() };
     match &args.traffic {
         Some(path) => shell.carry_log(path)?,
         None => shell.serve(&args).await?,
@@ -174,6 +175,8 @@ struct LinkPeer {
 struct LinkShell {
     carrier: Carrier,
     ledger: Option<FrameLedger<BufWriter<File>>>,
+    /// Why the ledger ends early, such as a full disk, which stops no frame.
+    ledger_error: Option<anyhow::Error>,
     links: Links,
     peers: BTreeMap<PeerId, LinkPeer>,
 }
@@ -215,7 +218,7 @@ impl LinkShell {
                 }
             }
             self.flush().await;
-            self.note()?;
+            self.note();
         }
     }
 
@@ -264,14 +267,16 @@ impl LinkShell {
     }
 
     /// Writes and tells what is settled.
-    fn note(&mut self) -> Result<()> {
+    fn note(&mut self) {
         self.carrier.words().iter().for_each(|line| say(line));
-        let settled = self.carrier.settled();
-        let Some(ledger) = &mut self.ledger else { return Ok(()) };
-        for frame in settled {
-            ledger.push(&frame).context("writing the ledger")?;
+        let mut settled = self.carrier.settled();
+        let Some(ledger) = &mut self.ledger else { return };
+        if let Err(error) = settled.try_for_each(|frame| ledger.push(&frame)) {
+            tracing::error!("the ledger ends here: {error:#}; frames are carried all the same");
+            self.ledger_error = Some(error);
+            drop(settled);
+            self.ledger = None;
         }
-        Ok(())
     }
 
     /// Carries the frames of a log, as fast as it goes.
@@ -287,24 +292,23 @@ impl LinkShell {
             let way = if vehicles.contains(&system) { Way::Down } else { Way::Up };
             self.carrier.receive(way, &mut splitters[way as usize], frame, *time);
             self.carrier.flush(|_, _| {});
-            self.note()?;
+            self.note();
         }
         self.carrier.run_down();
-        self.note()
+        self.note();
+        Ok(())
     }
 
     async fn end(mut self, args: &RadioLink) -> Result<()> {
         self.links.close().await;
-        self.note()?;
-        if let Some(ledger) = self.ledger.take() {
-            ledger.close().context("writing the ledger")?;
-        }
+        self.note();
         if let Some(path) = &args.record {
             let csv = self.carrier.whereabouts().track().to_csv();
             std::fs::write(path, csv).with_context(|| format!("writing {}", path.display()))?;
         }
         say(&self.carrier.summary().table(args.summary, self.carrier.now()));
-        Ok(())
+        let closed = self.ledger.take().map_or(Ok(()), FrameLedger::close);
+        self.ledger_error.map_or(closed, Err).context("writing the ledger")
     }
 }
 
