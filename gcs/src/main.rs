@@ -16,7 +16,7 @@ use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
-use crpl_gcs::tools::{bridge, mission, param, replay};
+use crpl_gcs::tools::{bridge, link, mission, param, replay};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
@@ -58,6 +58,8 @@ enum GcsCommand {
     Report(report::Report),
     /// Route MAVLink between a vehicle and several tools, and count packets
     Bridge(bridge::Bridge),
+    /// Put a radio between a vehicle and its tools: slow and lossy as its geometry says
+    Link(link::RadioLink),
     /// List, read, set, load and save a vehicle's parameters
     Param(param::Params),
     /// Upload, download and clear a vehicle's mission
@@ -288,6 +290,7 @@ fn main() -> ExitCode {
         GcsCommand::Demo(args) => terminal::block_on(demo(args)),
         GcsCommand::Fly(args) => terminal::block_on(fly(args)),
         GcsCommand::Bridge(args) => terminal::block_on(bridge::run(args)),
+        GcsCommand::Link(args) => terminal::block_on(link::run(args)),
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),

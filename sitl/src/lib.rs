@@ -29,7 +29,7 @@
 //! | [`scenario`] | every parameter of a flight, with the paper as default | files other than its own |
 //! | [`world`] | the paper's Sec. IV-A, one formula a function | protocol, controllers |
 //! | [`camera`] | world to 100x100 frame | physics |
-//! | [`radio`] | what crosses the radio, and the gate: delivered, delayed, superseded, lost | geometry, bytes |
+//! | [`radio`] | what crosses the radio, and the gate: delivered, delayed, superseded, lost; `air`: whole frames | bytes |
 //! | [`sim`] | world + radio + camera, a state machine; records and metrics | clocks, sockets |
 //! | [`link`] | MAVLink 2 in datagrams, for both programs | physics, controllers |
 //! | [`vehicle`] | `Sim` as MAVLink peers see it, a state machine | clocks, sockets |

@@ -8,7 +8,6 @@ pub mod demo;
 pub mod episodes;
 pub mod figures;
 pub mod optimise;
-pub mod parquet;
 pub mod policies;
 pub mod random;
 pub mod report;

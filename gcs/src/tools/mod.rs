@@ -1,10 +1,12 @@
-//! MAVLink tools for any vehicle: router, parameters, missions, commands, replay.
+//! MAVLink tools for any vehicle: router, radio link, parameters, missions, commands, replay.
 
 pub mod bridge;
 pub mod command;
 pub mod fleet;
+pub mod link;
 pub mod mission;
 pub mod param;
+pub mod parquet;
 pub mod replay;
 pub mod retry;
 pub mod session;

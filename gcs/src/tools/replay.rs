@@ -48,7 +48,7 @@ pub struct Replay {
 }
 
 /// What is sent, and when after the beginning.
-type Script = Vec<(Duration, Vec<u8>)>;
+pub type Script = Vec<(Duration, Vec<u8>)>;
 
 /// Sends the file to its end.
 ///
@@ -110,8 +110,11 @@ fn script(path: &Path, all: bool) -> Result<Script> {
 }
 
 /// The frames of a tlog: 8 bytes of time before each. An end that is cut off, as a crash leaves it, is
-/// told and left out.
-fn from_tlog(bytes: &[u8], all: bool) -> Result<Script> {
+/// told and left out. Without `all`, so are the frames of stations.
+///
+/// # Errors
+/// It is no tlog.
+pub fn from_tlog(bytes: &[u8], all: bool) -> Result<Script> {
     let (mut script, mut at, mut first) = (Script::new(), 0, None);
     while at < bytes.len() {
         let Some((time, frame)) = stamped(&bytes[at..]) else {

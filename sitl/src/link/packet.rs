@@ -237,6 +237,12 @@ pub fn target_offsets(id: u32) -> Option<(usize, Option<usize>)> {
     Some((TABLE[at].1, TABLE[at].2))
 }
 
+/// The dialect's name of a message, such as `HEARTBEAT`.
+#[must_use]
+pub fn message_name(id: u32) -> Option<&'static str> {
+    MavMessage::default_message_from_id(id).map(|message| message.message_name())
+}
+
 /// Finds the offsets by asking the dialect itself which byte of a payload comes back as the target.
 fn probe(id: u32) -> Option<(usize, Option<usize>)> {
     const MARK: u8 = 0x55;
@@ -260,6 +266,11 @@ mod tests {
     use crate::link::dialect::{
         self, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MANUAL_CONTROL_DATA,
     };
+
+    #[test]
+    fn messages_have_the_dialect_s_names() {
+        assert_eq!([0, 109, 0xFF_FFFF].map(message_name), [Some("HEARTBEAT"), Some("RADIO_STATUS"), None]);
+    }
 
     #[test]
     fn targets_are_found_where_the_standard_puts_them() {

@@ -9,6 +9,7 @@
 //! | superseded | never flown: a newer command took its place before it got through |
 //! | lost | never flown: dropped in an outage (rule `drop`), or still waiting when the flight ended |
 
+pub mod air;
 pub mod message;
 
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,7 @@
 //! Quantities that are easily mixed up, and the scale between the paper's square and NED metres.
 
 mod action;
+pub mod earth;
 pub mod noise;
 mod per_obstacle;
 

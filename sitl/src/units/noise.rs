@@ -34,6 +34,12 @@ pub enum Stream {
     Shake = 10,
     /// Noise of the pixels.
     Grain = 11,
+    /// Whether a packet of a radio is lost.
+    Packets = 12,
+    /// Small-scale fading of a radio channel.
+    Fading = 13,
+    /// Shadowing of a radio channel.
+    Shadow = 14,
 }
 
 /// Words of the key stream set aside for each tick; a draw of two normals needs four, rarely more.

@@ -5,10 +5,11 @@
 //! Zürich, where PX4's simulators start too). North and east metres become degrees on a sphere with
 //! the equator's radius, as autopilots do; over 500 m that is right to millimetres.
 
+use crate::units::earth::{self, EARTH_M};
+
 /// Home: latitude and longitude in degrees, height above sea level in metres.
 pub const HOME: [f64; 3] = [47.397_742, 8.545_594, 488.0];
 
-const EARTH_M: f64 = 6_378_137.0;
 const GRAVITY: f64 = 9.806_65;
 
 /// Latitude and longitude of a point this far north and east of home, in 1e-7 degrees.
@@ -20,10 +21,8 @@ pub fn latitude_longitude([north, east]: [f32; 2]) -> [i32; 2] {
 }
 
 /// North and east of home, metres, of a latitude and a longitude in degrees.
-pub fn north_east([latitude, longitude]: [f64; 2]) -> [f32; 2] {
-    let north = (latitude - HOME[0]).to_radians() * EARTH_M;
-    let east = (longitude - HOME[1]).to_radians() * EARTH_M * HOME[0].to_radians().cos();
-    [north as f32, east as f32]
+pub fn north_east(place: [f64; 2]) -> [f32; 2] {
+    earth::north_east([HOME[0], HOME[1]], place).map(|metres| metres as f32)
 }
 
 /// Roll and pitch, radians, at which the thrust of a level, north-looking multirotor accelerates it

@@ -7,8 +7,8 @@ use clap::ValueEnum;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 
 use crate::lab::Contender;
-use crate::lab::parquet::{Column, Values};
 use crate::station::pilot::Controller;
+use crate::tools::parquet::{Column, Values};
 
 /// One flight's score.
 #[derive(Debug, Clone, PartialEq)]

@@ -12,7 +12,7 @@ use super::episode::{self, SweepEpisode};
 use super::journal::Journal;
 use super::plan::{Shard, SweepPlan};
 use super::table;
-use crate::lab::parquet;
+use crate::tools::parquet;
 
 /// What `sweep.toml` says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

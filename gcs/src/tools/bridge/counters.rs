@@ -65,7 +65,7 @@ impl Counters {
 const BUCKETS: u32 = 24;
 
 /// The lines of a Prometheus histogram in seconds.
-fn export(histogram: &Histogram, out: &mut String, name: &str, label: &str) {
+pub fn export(histogram: &Histogram, out: &mut String, name: &str, label: &str) {
     let comma = if label.is_empty() { "" } else { "," };
     for bound in (0..BUCKETS).map(|k| Duration::from_micros(1 << k)) {
         let (le, below) = (bound.as_secs_f64(), histogram.at_most(bound));

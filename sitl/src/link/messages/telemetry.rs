@@ -13,6 +13,20 @@ views! {
         16 => velocity: [f32; 3],
     }
 
+    /// Where the vehicle is on Earth.
+    GlobalPositionInt = GLOBAL_POSITION_INT_DATA {
+        /// Since the vehicle booted, ms.
+        0 => time_boot_ms: u32,
+        /// Latitude and longitude, 1e-7 degrees.
+        4 => place: [i32; 2],
+        /// Height above sea level and above home, mm.
+        12 => heights: [i32; 2],
+        /// North, east, down, cm/s.
+        20 => velocity: [i16; 3],
+        /// Heading, 0.01 degrees; 65535 is unknown.
+        26 => heading: u16,
+    }
+
     /// The setpoint that the vehicle follows.
     PositionTargetLocalNed = POSITION_TARGET_LOCAL_NED_DATA {
         /// Since the vehicle booted, ms.

@@ -13,7 +13,9 @@ use super::param::{ParamRequestList, ParamRequestRead, ParamSet, ParamValue};
 use super::service::{FileTransfer, Ping, RequestDataStream, SetupSigning, Timesync};
 use super::setpoint::SetPositionTargetLocalNed;
 use super::status::{AutopilotVersion, Heartbeat, MessageInterval};
-use super::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
+use super::telemetry::{
+    DebugVect, GlobalPositionInt, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed,
+};
 use super::*;
 use crate::link::decoder::Decoder;
 use crate::link::dialect::*;
@@ -76,6 +78,25 @@ fn telemetry() {
         &LOCAL_POSITION_NED_DATA { time_boot_ms: 1000, x, y, z, vx, vy, vz },
         LocalPositionNed { time_boot_ms: 1000, position: [x, y, z], velocity: [vx, vy, vz] },
     );
+    let global = GLOBAL_POSITION_INT_DATA {
+        time_boot_ms: 1000,
+        lat: 473_977_420,
+        lon: -85_455_940,
+        alt: 588_000,
+        relative_alt: -100_000,
+        vx: 1,
+        vy: -2,
+        vz: 3,
+        hdg: 65_535,
+    };
+    let fields = GlobalPositionInt {
+        time_boot_ms: 1000,
+        place: [473_977_420, -85_455_940],
+        heights: [588_000, -100_000],
+        velocity: [1, -2, 3],
+        heading: 65_535,
+    };
+    agree(&global, fields);
     let message = POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: 1000,
         x,

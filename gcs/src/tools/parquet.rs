@@ -1,5 +1,4 @@
-//! Parquet files of flat tables: required columns in one row group, no compression, written by the
-//! `parquet` crate. Held against DuckDB in `tests/tests/sweep.rs`.
+//! Parquet files of flat tables: required columns, no compression, written by the `parquet` crate. Held against DuckDB in `tests/tests/sweep.rs`.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -39,24 +38,60 @@ pub struct Column<'a> {
 /// # Errors
 /// Writing fails, or a column is of another length than the first.
 pub fn write(out: impl Write + Send, columns: &[Column<'_>], notes: &[(&str, &str)]) -> Result<()> {
-    let rows = columns.first().map_or(0, |c| c.values.len());
-    for column in columns {
-        ensure!(column.values.len() == rows, "column {} is of another length", column.name);
+    let mut file = ParquetFile::new(out, columns, notes)?;
+    file.push(columns)?;
+    file.close()
+}
+
+/// A file that grows by row groups.
+pub struct ParquetFile<W: Write + Send>(SerializedFileWriter<W>);
+
+impl<W: Write + Send> std::fmt::Debug for ParquetFile<W> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("ParquetFile")
     }
-    let fields = columns.iter().map(Column::field).collect::<Result<Vec<_>>>()?;
-    let schema = Type::group_type_builder("schema").with_fields(fields).build()?;
-    let notes = notes.iter().map(|(key, value)| KeyValue::new((*key).to_owned(), (*value).to_owned()));
-    let properties = WriterProperties::builder().set_key_value_metadata(Some(notes.collect())).build();
-    let mut file = SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties))?;
-    let mut group = file.next_row_group()?;
-    for column in columns {
-        let mut writer = group.next_column()?.context("a column too many")?;
-        column.values.write(&mut writer).with_context(|| format!("column {}", column.name))?;
-        writer.close()?;
+}
+
+impl<W: Write + Send> ParquetFile<W> {
+    /// A file with the columns of a table, none of whose rows are written yet.
+    ///
+    /// # Errors
+    /// Writing fails.
+    pub fn new(out: W, columns: &[Column<'_>], notes: &[(&str, &str)]) -> Result<Self> {
+        let fields = columns.iter().map(Column::field).collect::<Result<Vec<_>>>()?;
+        let schema = Type::group_type_builder("schema").with_fields(fields).build()?;
+        let notes = notes.iter().map(|(key, value)| KeyValue::new((*key).to_owned(), (*value).to_owned()));
+        let properties = WriterProperties::builder().set_key_value_metadata(Some(notes.collect())).build();
+        Ok(Self(SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties))?))
     }
-    group.close()?;
-    file.close()?;
-    Ok(())
+
+    /// Appends rows as one group.
+    ///
+    /// # Errors
+    /// Writing fails, or a column is of another length than the first.
+    pub fn push(&mut self, columns: &[Column<'_>]) -> Result<()> {
+        let rows = columns.first().map_or(0, |c| c.values.len());
+        for column in columns {
+            ensure!(column.values.len() == rows, "column {} is of another length", column.name);
+        }
+        let mut group = self.0.next_row_group()?;
+        for column in columns {
+            let mut writer = group.next_column()?.context("a column too many")?;
+            column.values.write(&mut writer).with_context(|| format!("column {}", column.name))?;
+            writer.close()?;
+        }
+        group.close()?;
+        Ok(())
+    }
+
+    /// Writes the end, without which the file is none.
+    ///
+    /// # Errors
+    /// Writing fails.
+    pub fn close(self) -> Result<()> {
+        self.0.close()?;
+        Ok(())
+    }
 }
 
 impl Column<'_> {
