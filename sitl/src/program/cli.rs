@@ -17,6 +17,9 @@ use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Scenario, presets};
 use crate::vehicle::Vehicle;
 
+/// The longest control interval on the wall: a timer has no time beyond some ages.
+const LONGEST_PERIOD: Duration = Duration::from_secs(365 * 86_400);
+
 /// What makes a control interval pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Pace {
@@ -176,7 +179,7 @@ pub async fn run(args: Args) -> Result<()> {
     let scenario = Scenario::named(&args.scenario)?;
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)
         .context("the control interval divided by --speed")?
-        .max(Duration::from_micros(1));
+        .clamp(Duration::from_micros(1), LONGEST_PERIOD);
     let mut shells = args.shells(&scenario).await?;
     let mut keys = args.signing()?.into_iter();
     for shell in &mut shells {

@@ -23,7 +23,7 @@
 //! | MISSION_START | ACCEPTED, as AUTO from the current item |
 //! | DO_PAUSE_CONTINUE 0, 1 | ACCEPTED: LOITER; the mission goes on, or GUIDED; else DENIED |
 //! | DO_REPOSITION to a point of the square, in GUIDED or with the flag to change mode | ACCEPTED, else DENIED |
-//! | DO_CHANGE_SPEED to a ground speed up to the limit | ACCEPTED, else DENIED |
+//! | DO_CHANGE_SPEED to a ground speed up to the limit, a speed of climb; -1 no change, -2 the speed of its start | ACCEPTED, else DENIED |
 //!
 //! In lockstep a setpoint is also the clock: it lets its interval pass in every mode, and is flown in
 //! GUIDED alone.
@@ -33,9 +33,11 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::height::Lift;
+use super::params::is_flyable;
 use super::{Vehicle, geodesy, guidance};
 use crate::link::dialect::{MavModeFlag, MavResult, MavSeverity, MavState};
 use crate::link::wire::Ask;
+use crate::scenario::Autopilot;
 use crate::sim::Control;
 
 pub(super) const CMD_NAV_RETURN: u16 = 20;
@@ -71,7 +73,9 @@ const FORCED: f32 = 21_196.0;
 /// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 const CHANGE_MODE: u32 = 1;
 /// SPEED_TYPE_GROUNDSPEED; SPEED_TYPE_AIRSPEED is the same in still air.
-const SPEEDS: [f32; 2] = [0.0, 1.0];
+const GROUND_SPEEDS: [f32; 2] = [0.0, 1.0];
+/// SPEED_TYPE_CLIMB_SPEED and SPEED_TYPE_DESCENT_SPEED, which are one here.
+const CLIMB_SPEEDS: [f32; 2] = [2.0, 3.0];
 
 /// ArduCopter's flight modes, those that a planar vehicle can fly.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -295,15 +299,40 @@ impl Vehicle {
         ACCEPTED
     }
 
-    fn change_speed(&mut self, kind: f32, mps: f32, now: Duration) -> MavResult {
-        let scenario = self.sim.scenario();
-        let limit = (scenario.dynamics.v_max * scenario.scale.mps_per_speed()) as f32;
-        if SPEEDS.contains(&kind) && mps > 0.0 && mps <= limit {
-            self.settings.autopilot.speed_mps = mps.into();
+    pub(super) fn change_speed(&mut self, kind: f32, mps: f32, now: Duration) -> MavResult {
+        // No change, and the speed that it booted with.
+        if mps == -1.0 && (GROUND_SPEEDS.contains(&kind) || CLIMB_SPEEDS.contains(&kind)) {
             return ACCEPTED;
         }
-        self.refused("speed", &format!("speed refused: above 0, up to {limit} m/s"), now);
+        let own = self.sim.scenario().autopilot.clone();
+        let (speed, taken) = match kind {
+            kind if GROUND_SPEEDS.contains(&kind) => {
+                let speed = if mps == -2.0 { own.speed_mps } else { mps.into() };
+                (speed, self.set_autopilot(|autopilot| autopilot.speed_mps = speed))
+            }
+            kind if CLIMB_SPEEDS.contains(&kind) => {
+                let speed = if mps == -2.0 { own.climb_mps } else { mps.into() };
+                (speed, self.set_autopilot(|autopilot| autopilot.climb_mps = speed))
+            }
+            _ => (f64::NAN, false),
+        };
+        if taken {
+            return ACCEPTED;
+        }
+        let limit = self.top_speed_mps() as f32;
+        self.refused("speed", &format!("speed {speed} refused: above 0, up to {limit} m/s"), now);
         DENIED
+    }
+
+    /// Changes how it flies by itself, if what comes out is within the ranges; whether it is.
+    pub(super) fn set_autopilot(&mut self, change: impl FnOnce(&mut Autopilot)) -> bool {
+        let mut settings = self.settings.clone();
+        change(&mut settings.autopilot);
+        let taken = is_flyable(&settings);
+        if taken {
+            self.settings = settings;
+        }
+        taken
     }
 
     /// A point of the local frame, north and east in metres, as a point of the paper's square.

@@ -4,7 +4,7 @@
 //! | parameter | unit | takes effect |
 //! |---|---|---|
 //! | `SYSID_THISMAV` | | read only |
-//! | `RATE_*` | Hz, 0 to 50 | at once: the default of every peer's stream, in real time |
+//! | `RATE_*` | Hz, 0 or 0.0005 to 50 | at once: the default of every peer's stream, in real time |
 //! | `FS_SETP_ACT`, `FS_STN_ACT` | 0 hold, 1 brake, 2 return | at once |
 //! | `FS_SETP_TIME`, `FS_STN_TIME` | s | at once |
 //! | `WP_SPEED`, `WP_RADIUS`, `CLIMB_SPEED` | m/s, m, m/s | at once |
@@ -35,6 +35,7 @@
 use std::time::Duration;
 
 use super::Vehicle;
+use super::rates::RATES_HZ;
 use crate::link::dialect::{self, MavParamError, MavParamType};
 use crate::link::encoder::DATAGRAM;
 use crate::link::messages::Target;
@@ -535,7 +536,9 @@ impl Vehicle {
             return false;
         }
         match param.holds {
-            Holds::Rate(id) if (0.0..=50.0).contains(&value) => self.set_default_hz(id, value.into(), now),
+            Holds::Rate(id) if value == 0.0 || RATES_HZ.contains(&value) => {
+                self.set_default_hz(id, value.into(), now);
+            }
             Holds::TxPower => {
                 if let Ok(power) = TxPower::from_level(value) {
                     self.sim.set_power(power);
@@ -629,7 +632,7 @@ fn world_slots(obstacles: usize) -> impl Iterator<Item = &'static ParamSlot> {
 }
 
 /// Whether settings are a scenario, in which the vehicle by itself is no faster than it can be.
-fn is_flyable(settings: &Scenario) -> bool {
+pub(super) fn is_flyable(settings: &Scenario) -> bool {
     let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
     settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6)
 }

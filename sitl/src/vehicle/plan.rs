@@ -22,6 +22,7 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::modes::Mode;
+use super::params::is_flyable;
 use super::{Vehicle, geodesy};
 use crate::link::dialect::{self, MavCmd, MavFrame, MavMissionResult, MavMissionType, MissionState};
 use crate::link::messages::mission::{MissionItem, Place};
@@ -303,7 +304,7 @@ impl Vehicle {
             WAYPOINT if second < 0.0 || second.is_infinite() => {
                 return no(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "its radius is below 0 or infinite");
             }
-            SPEED if !(0.0..=self.top_speed_mps()).contains(&f64::from(second)) || second == 0.0 => {
+            SPEED if second != -1.0 && second != -2.0 && !self.takes_speed(second.into()) => {
                 return no(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "its speed is out of range");
             }
             _ => {}
@@ -329,6 +330,13 @@ impl Vehicle {
         Ok(())
     }
 
+    /// Whether it can fly by itself at so many m/s.
+    fn takes_speed(&self, mps: f64) -> bool {
+        let mut settings = self.settings.clone();
+        settings.autopilot.speed_mps = mps;
+        is_flyable(&settings)
+    }
+
     /// The fastest that the vehicle flies, m/s.
     pub(super) fn top_speed_mps(&self) -> f64 {
         let scenario = self.sim.scenario();
@@ -352,7 +360,7 @@ impl Vehicle {
                     self.jump(seq, &item);
                     continue;
                 }
-                SPEED => self.settings.autopilot.speed_mps = item.params[1].into(),
+                SPEED => drop(self.change_speed(item.params[0], item.params[1], now)),
                 RETURN => {
                     self.reached(seq, now);
                     self.enter(Mode::Return, now);

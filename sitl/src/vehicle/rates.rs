@@ -25,6 +25,8 @@ use crate::link::{AUTOPILOT, PeerId};
 
 /// The shortest interval of a stream: 50 Hz.
 const SHORTEST_US: f32 = 20_000.0;
+/// The rates of a stream, Hz: from the longest interval that MESSAGE_INTERVAL can tell to the shortest.
+pub(super) const RATES_HZ: std::ops::RangeInclusive<f32> = 1e6 / i32::MAX as f32..=1e6 / SHORTEST_US;
 const HEARTBEAT_US: i32 = 1_000_000;
 
 /// The streams of a peer.
@@ -69,9 +71,10 @@ impl Rates {
     }
 }
 
-/// The interval of so many messages a second; none for 0.
+/// The interval of so many messages a second, within [`RATES_HZ`]; none for 0, and for what is no number.
 fn interval(hz: f64) -> Option<Duration> {
-    (hz > 0.0).then(|| Duration::from_secs_f64(1.0 / hz.min(1e6 / f64::from(SHORTEST_US))))
+    let (least, most) = (f64::from(*RATES_HZ.start()), f64::from(*RATES_HZ.end()));
+    (hz > 0.0).then(|| Duration::from_secs_f64(1.0 / hz.clamp(least, most)))
 }
 
 impl Vehicle {
@@ -200,8 +203,8 @@ impl Vehicle {
         let stream = self.peers.get(&peer).and_then(|peer| peer.rates.every(row.id));
         match (row.goes, stream) {
             (Goes::Heartbeat, _) => HEARTBEAT_US,
-            (_, Some(every)) => every.as_micros() as i32,
-            (Goes::Percept, None) => self.control_interval().as_micros() as i32,
+            (_, Some(every)) => whole_us(every),
+            (Goes::Percept, None) => whole_us(self.control_interval()),
             (_, None) => -1,
         }
     }
@@ -222,6 +225,11 @@ impl Vehicle {
             }
         }
     }
+}
+
+/// An interval as MESSAGE_INTERVAL tells it, µs: the longest that it can where it is longer.
+fn whole_us(every: Duration) -> i32 {
+    i32::try_from(every.as_micros()).unwrap_or(i32::MAX)
 }
 
 /// The row that a command's parameter names.

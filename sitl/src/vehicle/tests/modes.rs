@@ -243,12 +243,20 @@ fn a_speed_is_taken_within_the_limit() {
         (1.0, 51.0, DENIED),
         (1.0, 0.0, DENIED),
         (1.0, f32::NAN, DENIED),
-        (2.0, 10.0, DENIED),
+        (1.0, 1e-30, DENIED),
+        (2.0, 10.0, ACCEPTED),
+        (2.0, -5.0, DENIED),
+        (4.0, 10.0, DENIED),
+        (1.0, -1.0, ACCEPTED),
     ] {
         let change = long(MavCmd::MAV_CMD_DO_CHANGE_SPEED, kind, mps, 0.0);
         assert_eq!(told(&mut bench, &change).0, result, "{kind} {mps}");
     }
-    assert_eq!(bench.vehicle.settings.autopilot.speed_mps, 50.0);
+    let autopilot = &bench.vehicle.settings.autopilot;
+    assert_eq!((autopilot.speed_mps, autopilot.climb_mps), (50.0, 10.0), "-1 changes nothing");
+    let default = long(MavCmd::MAV_CMD_DO_CHANGE_SPEED, 1.0, -2.0, 0.0);
+    assert_eq!(told(&mut bench, &default).0, ACCEPTED);
+    assert_eq!(bench.vehicle.settings.autopilot.speed_mps, 20.0);
 }
 
 mod failsafes {

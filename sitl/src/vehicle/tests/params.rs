@@ -242,3 +242,31 @@ fn what_follows_a_collision_is_a_parameter() {
     assert_eq!(vehicle.sim.scenario().safety.collision_action, crate::scenario::CollisionAction::Fall);
     assert_eq!(boot("WIND_KICK 1\n").err().unwrap().to_string(), "line 1: `WIND_KICK` is now WIND_GUST");
 }
+
+/// One PARAM_SET killed the process: the time between two messages was no Duration.
+#[test]
+fn a_rate_that_no_timer_has_is_refused_and_the_old_value_told() {
+    let mut bench = Bench::new();
+    bench.hello();
+    bench.vehicle.start_streams(Duration::from_millis(400), bench.now);
+    let names: Vec<String> = list(&mut bench, 1).into_iter().map(|param| param.1).collect();
+    let rates: Vec<&String> = names.iter().filter(|name| name.starts_with("RATE_")).collect();
+    assert_eq!(rates.len(), 12);
+    for value in [1e-18, 1e-19, 5.421e-20, 1e-30, 1e-45, f32::MIN_POSITIVE, 1e-4, 50.1, -1.0, f32::INFINITY] {
+        for name in &rates {
+            let old = read(&mut bench, -1, name)[0].2;
+            assert_eq!(set(&mut bench, name, value)[0].2, old, "{name} {value}");
+        }
+        bench.now += Duration::from_secs(1);
+        bench.vehicle.stream(bench.now);
+    }
+    assert_eq!(set(&mut bench, "RATE_GPS", 0.001)[0].2, 0.001);
+    assert_eq!(set(&mut bench, "RATE_GPS", 0.0)[0].2, 0.0);
+}
+
+#[test]
+fn a_file_with_such_a_rate_names_its_line() {
+    let entries = crate::link::param_file::parse("WP_SPEED 10\nRATE_GPS 1e-30\n").unwrap();
+    let error = Vehicle::boot(&Scenario::default(), 1, 7, None, &entries).unwrap_err();
+    assert!(error.to_string().starts_with("line 2: RATE_GPS"), "{error}");
+}
