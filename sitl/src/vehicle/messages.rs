@@ -9,7 +9,7 @@
 //! | DEBUG_VECT `OBSTACLE` | 250 | 1 | in every percept | |
 //! | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 251 | 68 | in every percept from tick 1 on | |
 //! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
-//! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
+//! | ATTITUDE: the tilt that gives the acceleration flown, and the heading | 30 | 1 | 4 Hz | EXTRA1 |
 //! | GLOBAL_POSITION_INT: the local position on Earth | 33 | 1 | 4 Hz | POSITION |
 //! | ATTITUDE_QUATERNION: the same | 31 | 1 | 4 Hz | EXTRA1 |
 //! | VFR_HUD | 74 | 1 | 4 Hz | EXTRA2 |
@@ -35,7 +35,8 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
-use super::geodesy::{self, HOME};
+use super::geodesy::{self, Site};
+use super::heading::Heading;
 use super::height::Height;
 use super::modes::Conduct;
 use crate::link::dialect::{
@@ -62,6 +63,8 @@ pub(super) struct VehicleState {
     pub accel: [f32; 2],
     pub conduct: Conduct,
     pub height: Height,
+    pub heading: Heading,
+    pub site: Site,
     pub system_status: MavState,
     pub mission: dialect::MISSION_CURRENT_DATA,
     /// Latitude and longitude of the start, 1e-7 degrees.
@@ -205,6 +208,11 @@ impl VehicleState {
     pub fn boot_ms(&self) -> u32 {
         self.clock.boot_ms(self.report.tick)
     }
+
+    /// Roll and pitch, rad, of the acceleration that is flown.
+    fn tilt(&self) -> [f32; 2] {
+        geodesy::tilt(self.heading.forward_right(self.accel.map(f64::from)).map(|a| a as f32))
+    }
 }
 
 /// HEARTBEAT of component 1.
@@ -231,20 +239,42 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
     }
 }
 
-/// Level but for the tilt; between two ticks the acceleration is constant, so nothing turns.
+/// Level but for the tilt; between two ticks the acceleration is constant, so nothing but the heading turns.
 fn attitude(state: &VehicleState) -> dialect::ATTITUDE_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel);
-    dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
+    let [roll, pitch] = state.tilt();
+    dialect::ATTITUDE_DATA {
+        time_boot_ms: state.boot_ms(),
+        roll,
+        pitch,
+        yaw: wrapped(state.heading.yaw) as f32,
+        yawspeed: state.heading.rate() as f32,
+        ..Default::default()
+    }
 }
 
+/// An angle of [0, 2π) in (-π, π].
+fn wrapped(angle: f64) -> f64 {
+    if angle > std::f64::consts::PI { angle - std::f64::consts::TAU } else { angle }
+}
+
+/// Yaw, then pitch, then roll.
 fn quaternion(state: &VehicleState) -> dialect::ATTITUDE_QUATERNION_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel).map(|angle| angle / 2.0);
+    let [roll, pitch] = state.tilt().map(|angle| angle / 2.0);
+    let yaw = (wrapped(state.heading.yaw) / 2.0) as f32;
+    let level = [
+        roll.cos() * pitch.cos(),
+        roll.sin() * pitch.cos(),
+        roll.cos() * pitch.sin(),
+        -roll.sin() * pitch.sin(),
+    ];
+    let (sin, cos) = yaw.sin_cos();
     dialect::ATTITUDE_QUATERNION_DATA {
         time_boot_ms: state.boot_ms(),
-        q1: roll.cos() * pitch.cos(),
-        q2: roll.sin() * pitch.cos(),
-        q3: roll.cos() * pitch.sin(),
-        q4: -roll.sin() * pitch.sin(),
+        q1: cos * level[0] - sin * level[3],
+        q2: cos * level[1] - sin * level[2],
+        q3: cos * level[2] + sin * level[1],
+        q4: cos * level[3] + sin * level[0],
+        yawspeed: state.heading.rate() as f32,
         ..Default::default()
     }
 }
@@ -253,20 +283,20 @@ fn quaternion(state: &VehicleState) -> dialect::ATTITUDE_QUATERNION_DATA {
 fn hud(state: &VehicleState) -> dialect::VFR_HUD_DATA {
     let [north, east] = state.report.velocity;
     let speed = north.hypot(east);
-    let [roll, pitch] = geodesy::tilt(state.accel);
+    let [roll, pitch] = state.tilt();
     let throttle = if state.conduct.armed { HOVER_THROTTLE / (roll.cos() * pitch.cos()) } else { 0.0 };
     dialect::VFR_HUD_DATA {
         airspeed: speed,
         groundspeed: speed,
-        alt: (HOME[2] + state.height.altitude_m) as f32,
+        alt: (state.site.altitude_m + state.height.altitude_m) as f32,
         climb: state.height.climb_mps as f32,
-        heading: 0,
+        heading: state.heading.degrees() as i16,
         throttle: throttle.min(100.0) as u16,
     }
 }
 
 fn navigation(state: &VehicleState) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel);
+    let [roll, pitch] = state.tilt();
     let target = state.target.map_or(state.report.position, |target| state.scale.ned_from_paper(target));
     let [north, east] = [0, 1].map(|axis| target[axis] - state.report.position[axis]);
     let bearing = east.atan2(north).to_degrees().round() as i16;
@@ -281,14 +311,14 @@ fn navigation(state: &VehicleState) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
 }
 
 fn gps(state: &VehicleState) -> dialect::GPS_RAW_INT_DATA {
-    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [lat, lon] = state.site.latitude_longitude(state.report.position);
     let [north, east] = state.report.velocity;
     let course = east.atan2(north).to_degrees().rem_euclid(360.0);
     dialect::GPS_RAW_INT_DATA {
         time_usec: u64::from(state.boot_ms()) * 1000,
         lat,
         lon,
-        alt: millimetres(HOME[2] + state.height.altitude_m),
+        alt: millimetres(state.site.altitude_m + state.height.altitude_m),
         eph: 100,
         epv: 100,
         vel: (north.hypot(east) * 100.0) as u16,
@@ -300,18 +330,18 @@ fn gps(state: &VehicleState) -> dialect::GPS_RAW_INT_DATA {
 }
 
 fn global_position(state: &VehicleState) -> dialect::GLOBAL_POSITION_INT_DATA {
-    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [lat, lon] = state.site.latitude_longitude(state.report.position);
     let [vx, vy] = state.report.velocity.map(|speed| (speed * 100.0).round() as i16);
     dialect::GLOBAL_POSITION_INT_DATA {
         time_boot_ms: state.boot_ms(),
         lat,
         lon,
-        alt: millimetres(HOME[2] + state.height.altitude_m),
+        alt: millimetres(state.site.altitude_m + state.height.altitude_m),
         relative_alt: millimetres(state.height.altitude_m),
         vx,
         vy,
         vz: (-100.0 * state.height.climb_mps).round() as i16,
-        hdg: 0,
+        hdg: (state.heading.degrees() * 100.0) as u16,
     }
 }
 
@@ -360,7 +390,7 @@ fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
     dialect::HOME_POSITION_DATA {
         latitude,
         longitude,
-        altitude: millimetres(HOME[2]),
+        altitude: millimetres(state.site.altitude_m),
         x,
         y,
         q: [1.0, 0.0, 0.0, 0.0],
@@ -370,9 +400,9 @@ fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
 }
 
 fn origin(state: &VehicleState) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
-    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    let [latitude, longitude] = state.site.latitude_longitude([0.0; 2]);
     let time_usec = u64::from(state.boot_ms()) * 1000;
-    dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(HOME[2]), time_usec }
+    dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(state.site.altitude_m), time_usec }
 }
 
 fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {
@@ -382,7 +412,7 @@ fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {
 
 fn extended_state(state: &VehicleState) -> dialect::EXTENDED_SYS_STATE_DATA {
     let landed_state = match state.conduct {
-        Conduct { climbing: true, .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
+        Conduct { climbing: Some(_), .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
         _ if state.height.on_ground() => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
         _ if state.height.climb_mps < 0.0 => MavLandedState::MAV_LANDED_STATE_LANDING,
         _ => MavLandedState::MAV_LANDED_STATE_IN_AIR,
@@ -390,7 +420,7 @@ fn extended_state(state: &VehicleState) -> dialect::EXTENDED_SYS_STATE_DATA {
     dialect::EXTENDED_SYS_STATE_DATA { vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED, landed_state }
 }
 
-/// What the vehicle can do, and nothing else: no file transfer, no fence.
+/// What the vehicle can do, and nothing else: no file transfer.
 pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
     dialect::AUTOPILOT_VERSION_DATA {
         capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -398,6 +428,9 @@ pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
         uid: u64::from(state.system),

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::messages::{self, Row, VehicleState};
 use super::missions::MissionUpload;
 use super::modes::Mode;
-use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
+use super::{Peer, TEXT_PAUSE, Vehicle};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
 use crate::link::{AUTOPILOT, MessageData, PeerId, image, wire};
@@ -83,6 +83,8 @@ impl Vehicle {
         VehicleState {
             conduct: self.conduct,
             height: self.height,
+            heading: self.heading,
+            site: self.site,
             system_status: self.system_status(),
             mission: self.plan.status(self.conduct.mode == Mode::Auto),
             launch: self.launch(),
@@ -156,10 +158,10 @@ impl Vehicle {
     /// Where it began and returns to: latitude and longitude, 1e-7 degrees.
     pub(super) fn launch(&self) -> [i32; 2] {
         let scenario = self.sim.scenario();
-        geodesy::latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
+        self.site.latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
     }
 
-    fn addresses(&self) -> Vec<PeerId> {
+    pub(super) fn addresses(&self) -> Vec<PeerId> {
         self.peers.keys().copied().collect()
     }
 
