@@ -6,7 +6,7 @@ use super::geodesy::{Home, Site};
 use super::heading::Heading;
 use super::height::Height;
 use super::modes::Conduct;
-use super::{Battery, Contact, LossOfLink, Vehicle};
+use super::{Battery, Contact, LossOfLink, Shots, Vehicle};
 use crate::link::dialect::MavSeverity;
 use crate::link::wire::Clock;
 use crate::sim::Sim;
@@ -58,6 +58,7 @@ impl Vehicle {
         (self.begun, self.ready, self.acknowledged) = (false, false, false);
         (self.png, self.sendings, self.advanced) = (None, 0, now);
         self.plan.restart();
+        self.shots = Shots::default();
         self.said.clear();
         for peer in self.peers.values_mut() {
             peer.images = None;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::modes::{self, Mode};
-use super::{Vehicle, messages};
+use super::{Vehicle, camera, messages};
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, ImageRequest};
 use crate::link::messages::command::SetMode;
@@ -14,7 +14,7 @@ use crate::link::messages::status::Heartbeat;
 use crate::link::messages::{Target, View};
 use crate::link::packet::Packet;
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint};
-use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, MessageData, PeerId, RADIO};
 use crate::radio::message::Command;
 use crate::units::TxPower;
 
@@ -33,7 +33,7 @@ const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 impl Vehicle {
     pub(super) fn packet(&mut self, packet: &Packet, from: PeerId, now: Duration) {
         // Our own frames, sent back by a loop in somebody's routing.
-        if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO) {
+        if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO | CAMERA) {
             return;
         }
         let asker = (packet.system, packet.component);
@@ -137,17 +137,26 @@ impl Vehicle {
 
     fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: PeerId, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
-        if to_autopilot || to_radio {
+        let to_camera = ask.target.is(self.system, CAMERA);
+        if to_autopilot || to_radio || to_camera {
             self.loss_of_link.arrived();
         }
-        let component = if to_autopilot { AUTOPILOT } else { RADIO };
+        let component = match (to_autopilot, to_radio) {
+            (true, _) => AUTOPILOT,
+            (false, true) => RADIO,
+            (false, false) => CAMERA,
+        };
         let [first, second, ..] = ask.params;
         match ask.command {
             CMD_TX_POWER if to_radio => {
                 let result = self.tx_power([first, second]);
                 self.ack(ask.command, result, RADIO, asker, from);
             }
-            _ if !to_autopilot && !to_radio => {}
+            _ if !to_autopilot && !to_radio && !to_camera => {}
+            command if (to_camera || to_autopilot) && camera::COMMANDS.contains(&command) => {
+                let component = if to_camera { CAMERA } else { AUTOPILOT };
+                self.camera_command(ask, component, asker, from, now);
+            }
             CMD_REQUEST_MESSAGE if to_autopilot && first == IMAGE => {
                 self.ack(ask.command, OK, component, asker, from);
                 self.send_image(from);
@@ -279,7 +288,14 @@ impl Vehicle {
         self.outbox.push_back((to, datagram));
     }
 
-    fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: PeerId) {
+    pub(super) fn ack(
+        &mut self,
+        command: u16,
+        result: MavResult,
+        component: u8,
+        asker: (u8, u8),
+        to: PeerId,
+    ) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.encoder(component).push_ack(&mut datagram, command, result, asker);

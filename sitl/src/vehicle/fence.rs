@@ -18,7 +18,7 @@ use nalgebra::Vector2;
 use super::modes::Mode;
 use super::plan::{Fault, StoredItem};
 use super::{Vehicle, guidance};
-use crate::link::dialect::{MavMissionResult, MavSeverity};
+use crate::link::dialect::{self, FenceBreach, FenceMitigate, MavMissionResult, MavSeverity};
 use crate::scenario::Action;
 
 const RETURN_POINT: u16 = 5000;
@@ -31,15 +31,16 @@ const CIRCLE_OUTSIDE: u16 = 5004;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Fence {
     items: Vec<StoredItem>,
-    areas: Vec<Area>,
+    areas: Vec<Zone>,
     /// Whether the vehicle was outside, or about to be, when it was last looked at.
     breached: bool,
-    /// How often that has begun.
-    pub breaches: u16,
+    /// How often that has begun, and when last, boot ms.
+    breaches: u16,
+    breach_ms: u32,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-struct Area {
+struct Zone {
     /// Whether the vehicle must be inside, not outside.
     is_inclusion: bool,
     shape: Shape,
@@ -112,11 +113,14 @@ impl Fence {
                         let result = MavMissionResult::MAV_MISSION_INVALID_PARAM1;
                         return Err(Fault::of(result, "a polygon lacks vertices"));
                     }
-                    areas.push(Area { is_inclusion, shape: Shape::Polygon(corners.iter().map(place).collect()) });
+                    areas.push(Zone {
+                        is_inclusion,
+                        shape: Shape::Polygon(corners.iter().map(place).collect()),
+                    });
                 }
                 CIRCLE_INSIDE | CIRCLE_OUTSIDE => {
                     let shape = Shape::Circle(place(item), item.params[0].into());
-                    areas.push(Area { is_inclusion, shape });
+                    areas.push(Zone { is_inclusion, shape });
                 }
                 _ => {}
             }
@@ -135,15 +139,30 @@ impl Fence {
         !self.areas.is_empty()
     }
 
-    /// Whether the vehicle was outside, or about to be.
-    pub fn is_breached(&self) -> bool {
-        self.breached
+    /// FENCE_STATUS.
+    pub fn status(&self, action: Action) -> dialect::FENCE_STATUS_DATA {
+        let keeps = action != Action::Hold;
+        dialect::FENCE_STATUS_DATA {
+            breach_time: self.breach_ms,
+            breach_count: self.breaches,
+            breach_status: self.breached.into(),
+            breach_type: if self.breached {
+                FenceBreach::FENCE_BREACH_BOUNDARY
+            } else {
+                FenceBreach::FENCE_BREACH_NONE
+            },
+            breach_mitigation: if keeps {
+                FenceMitigate::FENCE_MITIGATE_VEL_LIMIT
+            } else {
+                FenceMitigate::FENCE_MITIGATE_NONE
+            },
+        }
     }
 
     /// Whether the vehicle may be at a place, north and east in metres.
     pub fn allows(&self, place: [f32; 2]) -> bool {
         let place = Vector2::from(place.map(f64::from));
-        self.areas.iter().all(|area| area.shape.contains(place) == area.is_inclusion)
+        self.areas.iter().all(|zone| zone.shape.contains(place) == zone.is_inclusion)
     }
 }
 
@@ -165,7 +184,10 @@ impl Vehicle {
         if !(begins || here && !there && !is_safe) {
             return;
         }
-        self.fence.breaches = self.fence.breaches.saturating_add(u16::from(begins));
+        if begins {
+            self.fence.breaches = self.fence.breaches.saturating_add(1);
+            self.fence.breach_ms = self.clock.boot_ms(self.sim.tick());
+        }
         let (what, mode) = match self.fence_action {
             Action::Hold => ("goes on", None),
             Action::Brake => ("brakes", Some(Mode::Brake)),
@@ -187,7 +209,8 @@ mod tests {
     fn a_place_is_inside_a_polygon_of_any_shape_or_not() {
         let corners = [[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [5.0, 2.0], [0.0, 10.0]];
         let shape = Shape::Polygon(corners.map(Vector2::from).into());
-        for (place, inside) in [([1.0, 1.0], true), ([9.0, 5.0], true), ([5.0, 5.0], false), ([-1.0, 1.0], false)]
+        for (place, inside) in
+            [([1.0, 1.0], true), ([9.0, 5.0], true), ([5.0, 5.0], false), ([-1.0, 1.0], false)]
         {
             assert_eq!(shape.contains(place.into()), inside, "{place:?}");
         }

@@ -3,7 +3,7 @@
 //!
 //! | message | id | from | goes | in group of REQUEST_DATA_STREAM |
 //! |---|---|---|---|---|
-//! | HEARTBEAT | 0 | 1, 68 | 1 Hz, always | |
+//! | HEARTBEAT | 0 | 1, 68, 100 | 1 Hz, always | |
 //! | LOCAL_POSITION_NED | 32 | 1 | in every percept | |
 //! | POSITION_TARGET_LOCAL_NED | 85 | 1 | in every percept | |
 //! | DEBUG_VECT `OBSTACLE` | 250 | 1 | in every percept | |
@@ -25,6 +25,8 @@
 //! | GPS_GLOBAL_ORIGIN: the local frame's | 49 | 1 | on request | |
 //! | AUTOPILOT_VERSION | 148 | 1 | on request | |
 //! | PROTOCOL_VERSION | 300 | 1 | on request | |
+//! | FENCE_STATUS | 162 | 1 | on request | |
+//! | CAMERA_INFORMATION, CAMERA_SETTINGS, STORAGE_INFORMATION, CAMERA_CAPTURE_STATUS | 259 to 262 | 100 | on request | |
 //!
 //! The rates are those of the real-time pace; in lockstep only heartbeats and percepts go by
 //! themselves. Time stamps are those of the tick whose state is told; SYSTEM_TIME's 1970 part is the
@@ -35,6 +37,7 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
+use super::camera::{self, ShotsStatus};
 use super::geodesy::{self, Site};
 use super::heading::Heading;
 use super::height::Height;
@@ -45,7 +48,7 @@ use crate::link::dialect::{
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
-use crate::link::{AUTOPILOT, MessageData, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, MessageData, RADIO};
 use crate::radio::Fates;
 use crate::radio::message::Telemetry;
 use crate::units::Scale;
@@ -65,6 +68,8 @@ pub(super) struct VehicleState {
     pub height: Height,
     pub heading: Heading,
     pub site: Site,
+    pub shots: ShotsStatus,
+    pub fence: dialect::FENCE_STATUS_DATA,
     pub system_status: MavState,
     pub mission: dialect::MISSION_CURRENT_DATA,
     /// Latitude and longitude of the start, 1e-7 degrees.
@@ -151,6 +156,13 @@ macro_rules! row {
     };
 }
 
+/// The same of the camera, on request.
+macro_rules! camera_row {
+    ($message:ident, $make:expr) => {
+        Row { component: CAMERA, ..row!($message, Goes::OnRequest, $make) }
+    };
+}
+
 /// A message of the percept: the same bytes as in the report.
 const fn percept(id: u32, component: u8, push: fn(&VehicleState, &mut Encoder, &mut Vec<u8>)) -> Row {
     Row { id, component, goes: Goes::Percept, push }
@@ -201,6 +213,12 @@ pub(super) static ROWS: &[Row] = &[
     row!(GPS_GLOBAL_ORIGIN_DATA, Goes::OnRequest, origin),
     row!(AUTOPILOT_VERSION_DATA, Goes::OnRequest, version),
     row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
+    row!(FENCE_STATUS_DATA, Goes::OnRequest, |state: &VehicleState| state.fence.clone()),
+    Row { component: CAMERA, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &VehicleState| camera_heartbeat()) },
+    camera_row!(CAMERA_INFORMATION_DATA, camera::information),
+    camera_row!(CAMERA_SETTINGS_DATA, camera::settings),
+    camera_row!(STORAGE_INFORMATION_DATA, camera::storage),
+    camera_row!(CAMERA_CAPTURE_STATUS_DATA, camera::status),
 ];
 
 impl VehicleState {
@@ -237,6 +255,11 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
         system_status: MavState::MAV_STATE_ACTIVE,
         mavlink_version: 3,
     }
+}
+
+/// HEARTBEAT of component 100.
+pub(super) fn camera_heartbeat() -> dialect::HEARTBEAT_DATA {
+    dialect::HEARTBEAT_DATA { mavtype: MavType::MAV_TYPE_CAMERA, ..radio_heartbeat() }
 }
 
 /// Level but for the tilt; between two ticks the acceleration is constant, so nothing but the heading turns.
@@ -402,7 +425,12 @@ fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
 fn origin(state: &VehicleState) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
     let [latitude, longitude] = state.site.latitude_longitude([0.0; 2]);
     let time_usec = u64::from(state.boot_ms()) * 1000;
-    dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(state.site.altitude_m), time_usec }
+    dialect::GPS_GLOBAL_ORIGIN_DATA {
+        latitude,
+        longitude,
+        altitude: millimetres(state.site.altitude_m),
+        time_usec,
+    }
 }
 
 fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {

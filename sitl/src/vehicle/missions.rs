@@ -14,7 +14,7 @@
 //! | the same while another station uploads | ACK DENIED |
 //! | MISSION_WRITE_PARTIAL_LIST | requests of those items; beyond the list: ACK INVALID_SEQUENCE |
 //! | an item that nobody asked for | ACK ERROR |
-//! | an item that is in already | nothing: the timer asks again; the last one of a finished upload: ACK ACCEPTED |
+//! | an item that is in already | nothing, also for 5 s after the upload: the timer asks again; the last one of a finished upload: ACK ACCEPTED |
 //! | an item ahead of its turn | the request for the right one, again |
 //! | an item with current 2 or 3, as DroneKit's `simple_goto` sends it | flown in GUIDED: to its point and height, or to its height; ACK ACCEPTED, or its fault |
 //! | MISSION_CLEAR_ALL | ACK ACCEPTED; type 255 clears all lists |
@@ -39,12 +39,14 @@ use crate::link::messages::mission::{
     self, MissionAck, MissionCount, MissionItem, MissionPartialList, MissionRequest, MissionSetCurrent, Place,
 };
 use crate::link::packet::Packet;
-use crate::link::{AUTOPILOT, MessageData, PeerId};
+use crate::link::{AUTOPILOT, PeerId};
 
 /// The longest mission.
 const MAX_ITEMS: u16 = 700;
 /// How long an item is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// For how long after an upload a copy of one of its items may be on its way.
+const LATE: Duration = Duration::from_secs(5);
 /// How often it is asked for again.
 const MAX_TRIES: u32 = 5;
 
@@ -77,11 +79,12 @@ pub(super) struct MissionUpload {
 
 /// Whose upload was finished last: its list, and its last item.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Finished {
+pub(super) struct FinishedUpload {
     list: MavMissionType,
     from: PeerId,
     asker: (u8, u8),
     last: u16,
+    at: Duration,
 }
 
 impl MissionUpload {
@@ -185,8 +188,8 @@ impl Vehicle {
     }
 
     fn tell_item(&mut self, list: MavMissionType, seq: u16, as_int: bool, asker: (u8, u8), to: PeerId) {
-        let home = (seq == 0 && list == MISSION)
-            .then(|| StoredItem::home(self.launch(), self.site.altitude_m));
+        let home =
+            (seq == 0 && list == MISSION).then(|| StoredItem::home(self.launch(), self.site.altitude_m));
         let Some(item) = home.or_else(|| self.items(list).get(usize::from(seq)).copied()) else {
             return self.mission_ack(MavMissionResult::MAV_MISSION_INVALID_SEQUENCE, list, asker, to);
         };
@@ -251,11 +254,12 @@ impl Vehicle {
         from: PeerId,
         now: Duration,
     ) {
-        let expected = self.upload.as_ref().filter(|upload| {
-            (upload.from, upload.asker, upload.list) == (from, asker, list)
-        });
+        let expected = self
+            .upload
+            .as_ref()
+            .filter(|upload| (upload.from, upload.asker, upload.list) == (from, asker, list));
         let Some(&MissionUpload { next: expected, by_int, .. }) = expected else {
-            return self.late_item(list, sent.seq, asker, from);
+            return self.late_item(list, sent.seq, asker, from, now);
         };
         let (seq, item) = (sent.seq, StoredItem::of(sent, place));
         if seq < expected {
@@ -286,18 +290,17 @@ impl Vehicle {
             return self.refuse_upload("as a whole", fault, now);
         }
         self.upload = None;
-        self.uploaded = Some(Finished { list, from, asker, last: seq });
+        self.uploaded = Some(FinishedUpload { list, from, asker, last: seq, at: now });
         self.mission_ack(ACCEPTED, list, asker, from);
     }
 
     /// An item that no upload waits for.
-    fn late_item(&mut self, list: MavMissionType, seq: u16, asker: (u8, u8), from: PeerId) {
+    fn late_item(&mut self, list: MavMissionType, seq: u16, asker: (u8, u8), from: PeerId, now: Duration) {
         let theirs = self.uploaded.filter(|done| (done.list, done.from, done.asker) == (list, from, asker));
         match theirs {
             // The station sends its last item again where our acknowledgement of all was lost.
             Some(done) if seq == done.last => self.mission_ack(ACCEPTED, list, asker, from),
-            // A copy that was late.
-            Some(done) if seq < done.last => {}
+            Some(done) if seq < done.last && now < done.at + LATE => {}
             _ => self.mission_ack(MavMissionResult::MAV_MISSION_ERROR, list, asker, from),
         }
     }

@@ -9,6 +9,7 @@
 //! | `commands` | what is answered: setpoints, commands, image requests |
 //! | `battery`, `geodesy`, `heading`, `height` | energy spent; where on Earth, how tilted; where it looks; up and down |
 //! | `boot` | how it begins, and begins anew |
+//! | `camera` | the camera protocol: pictures on command |
 //! | `failsafe` | silence, counted in control intervals, and what follows it |
 //! | `fence` | areas that it must not leave or enter |
 //! | `files` | that there are none |
@@ -29,6 +30,7 @@
 
 mod battery;
 mod boot;
+mod camera;
 mod commands;
 mod failsafe;
 mod fence;
@@ -65,12 +67,13 @@ use crate::link::sequence::{Sequence, SequenceTracker};
 use crate::link::signing::{self, Key, Origin, Policy, Rejection, Signing};
 use crate::link::splitter::Counts;
 use crate::link::wire::{Clock, Refusal};
-use crate::link::{AUTOPILOT, PeerId, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, PeerId, RADIO};
 use crate::scenario::{Action, Scenario};
 use crate::sim::Sim;
 use crate::units::Tick;
 use crate::world::contact::Contact;
 use battery::Battery;
+use camera::Shots;
 use failsafe::LossOfLink;
 use fence::Fence;
 use geodesy::Site;
@@ -78,13 +81,15 @@ use guided::WaitingTarget;
 use heading::Heading;
 use height::Height;
 use meter::Meter;
-use missions::{Finished, MissionUpload};
+use missions::{FinishedUpload, MissionUpload};
 use modes::Conduct;
 use plan::{StoredItem, StoredMission};
 use rates::Rates;
 
-/// Peers that are served at a time; the one silent for longest makes room for a new one.
-const MAX_PEERS: usize = 16;
+/// Peers that are served at a time. Of those that are silent, the one silent for longest makes room for a new one.
+pub const MAX_PEERS: usize = 64;
+/// How long a peer is silent before it makes room: stations send heartbeats each second.
+const SILENT: Duration = Duration::from_secs(3);
 /// Systems and components behind one peer whose sequence numbers are followed.
 const MAX_SENDERS: usize = 32;
 /// Least time between two texts of one kind.
@@ -114,8 +119,9 @@ pub struct Vehicle {
     fence: Fence,
     fence_action: Action,
     rally: Vec<StoredItem>,
+    shots: Shots,
     upload: Option<MissionUpload>,
-    uploaded: Option<Finished>,
+    uploaded: Option<FinishedUpload>,
     battery: Battery,
     peers: BTreeMap<PeerId, Peer>,
     outbox: VecDeque<(PeerId, Vec<u8>)>,
@@ -225,6 +231,7 @@ struct Peer {
     decoder: Decoder,
     autopilot: Encoder,
     radio: Encoder,
+    camera: Encoder,
     /// Frames: with each so many control intervals.
     images: Option<u64>,
     /// By which message it was asked for the mission item that it sent: MISSION_REQUEST_INT or the older one.
@@ -243,6 +250,7 @@ impl Peer {
             decoder: Decoder::default(),
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
+            camera: Encoder::new(system, CAMERA),
             images: None,
             asked_by_int: None,
             rates: Rates::default(),
@@ -268,9 +276,13 @@ impl Peer {
         heard
     }
 
-    /// The component that speaks to this peer: the radio, else the autopilot.
+    /// The component that speaks to this peer: radio or camera, else the autopilot.
     fn encoder(&mut self, component: u8) -> &mut Encoder {
-        if component == RADIO { &mut self.radio } else { &mut self.autopilot }
+        match component {
+            RADIO => &mut self.radio,
+            CAMERA => &mut self.camera,
+            _ => &mut self.autopilot,
+        }
     }
 }
 
@@ -293,6 +305,7 @@ impl Vehicle {
             fence: Fence::default(),
             fence_action: Action::Brake,
             rally: Vec::new(),
+            shots: Shots::default(),
             upload: None,
             uploaded: None,
             sim,
@@ -397,10 +410,14 @@ impl Vehicle {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }
+        if !self.make_room(now) {
+            self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
+            let text = format!("peer refused: {MAX_PEERS} are served");
+            return self.say("peer refused", MavSeverity::MAV_SEVERITY_WARNING, &text, now);
+        }
         for (packet, _) in &packets {
             self.meter.numbered(peer.number(packet));
         }
-        self.make_room();
         self.introduce(from, peer, now);
         self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
         for (packet, origin) in &packets {
@@ -530,6 +547,7 @@ impl Vehicle {
             self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
         }
         self.send_percept();
+        self.take_shots(now);
     }
 
     /// Says once for each contact what was touched; the motors of a vehicle that falls stop.
@@ -575,14 +593,16 @@ impl Vehicle {
         }
     }
 
-    fn make_room(&mut self) {
+    /// Whether there is room for one more peer, if need be in place of one that says nothing.
+    fn make_room(&mut self, now: Duration) -> bool {
         if self.peers.len() < MAX_PEERS {
-            return;
+            return true;
         }
-        let quietest = self.peers.iter().filter(|(_, peer)| !peer.fixed).min_by_key(|(_, peer)| peer.heard);
-        if let Some(address) = quietest.map(|(&address, _)| address) {
-            self.forget(address);
-        }
+        let silent = |peer: &Peer| !peer.fixed && peer.heard + SILENT <= now;
+        let quietest = self.peers.iter().filter(|(_, peer)| silent(peer)).min_by_key(|(_, peer)| peer.heard);
+        let Some(address) = quietest.map(|(&address, _)| address) else { return false };
+        self.forget(address);
+        true
     }
 
     fn forget(&mut self, address: PeerId) {

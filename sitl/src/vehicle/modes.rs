@@ -251,13 +251,8 @@ impl Vehicle {
             return ACCEPTED;
         }
         self.leave_station();
-        self.conduct = Conduct {
-            mode,
-            landing: false,
-            waiting: mode == Mode::Guided,
-            guided: None,
-            ..self.conduct
-        };
+        self.conduct =
+            Conduct { mode, landing: false, waiting: mode == Mode::Guided, guided: None, ..self.conduct };
         // What it flies by itself takes time without a setpoint.
         self.begun |= mode != Mode::Guided;
         self.plan.resume();
@@ -314,7 +309,11 @@ impl Vehicle {
     }
 
     /// MAV_CMD_CONDITION_YAW: degrees, degrees a second, direction, 1 for relative.
-    pub(super) fn condition_yaw(&mut self, [degrees, speed, direction, relative]: [f32; 4], now: Duration) -> MavResult {
+    pub(super) fn condition_yaw(
+        &mut self,
+        [degrees, speed, direction, relative]: [f32; 4],
+        now: Duration,
+    ) -> MavResult {
         let given = [degrees, speed, direction, relative];
         if !given.iter().all(|value| value.is_finite()) || ![0.0, 1.0].contains(&relative) {
             return DENIED;

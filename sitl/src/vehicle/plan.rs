@@ -83,10 +83,7 @@ impl Role {
     }
 
     fn has_place(self) -> bool {
-        matches!(
-            self,
-            Self::Waypoint | Self::LoiterUnlimited | Self::Wait | Self::Pass | Self::Land
-        )
+        matches!(self, Self::Waypoint | Self::LoiterUnlimited | Self::Wait | Self::Pass | Self::Land)
     }
 
     fn has_height(self) -> bool {
@@ -304,8 +301,9 @@ impl StoredMission {
 
     /// Whether the items fit together: jumps need somewhere to go.
     pub fn check(items: &[StoredItem]) -> Result<(), Fault> {
-        let lost =
-            |item: &&StoredItem| item.role() == Role::Jump && !(1.0..items.len() as f32).contains(&item.params[0]);
+        let lost = |item: &&StoredItem| {
+            item.role() == Role::Jump && !(1.0..items.len() as f32).contains(&item.params[0])
+        };
         let fault = Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM1, "a jump leads out of it");
         items.iter().skip(1).find(lost).map_or(Ok(()), |_| Err(fault))
     }

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | SET_MESSAGE_INTERVAL -1, 0 (the default rate), 20 ms to 2147 s | ACCEPTED |
 //! | another interval, not a number, an unknown message | DENIED |
-//! | a percept's message, at -1 | DENIED: it goes with every control interval |
+//! | a percept's message, at -1 | DENIED: it goes with every control interval, and from now on with nothing else |
 //! | a percept's message, faster than the control interval | ACCEPTED: beside the percept |
 //! | a percept's message, slower | ACCEPTED: the percept has it as often already |
 //! | DATA_TRANSMISSION_HANDSHAKE (130) | frames: 0 with every control interval, -1 none, else at least so far apart |
@@ -141,7 +141,13 @@ impl Vehicle {
         let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
         let every = match us {
             0.0 => self.default_interval(row),
-            -1.0 if row.goes == Goes::Percept => return MavResult::MAV_RESULT_DENIED,
+            // What was beside the percept ends; the percept goes on.
+            -1.0 if row.goes == Goes::Percept => {
+                if let Some(peer) = self.peers.get_mut(&from) {
+                    peer.rates.set(row.id, None, now);
+                }
+                return MavResult::MAV_RESULT_DENIED;
+            }
             -1.0 => None,
             us if (SHORTEST_US..i32::MAX as f32).contains(&us) => {
                 Some(Duration::from_secs_f64(f64::from(us) / 1e6))

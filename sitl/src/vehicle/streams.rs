@@ -14,10 +14,15 @@ use crate::link::{AUTOPILOT, MessageData, PeerId, image, wire};
 const LONGEST: usize = 280;
 
 impl Vehicle {
-    /// A second has passed on the wall: both components say that they are there.
+    /// A second has passed on the wall: all components say that they are there.
     pub fn beat(&mut self) {
         for address in self.addresses() {
             self.heartbeat(address);
+        }
+        for (&address, peer) in &mut self.peers {
+            let mut datagram = Vec::new();
+            peer.camera.push(&mut datagram, &messages::camera_heartbeat());
+            self.outbox.push_back((address, datagram));
         }
     }
 
@@ -85,6 +90,8 @@ impl Vehicle {
             height: self.height,
             heading: self.heading,
             site: self.site,
+            shots: self.shots.status(),
+            fence: self.fence.status(self.fence_action),
             system_status: self.system_status(),
             mission: self.plan.status(self.conduct.mode == Mode::Auto),
             launch: self.launch(),

@@ -11,7 +11,8 @@
 //! | not signed | good | refused, but for RADIO_STATUS and RADIO |
 //! | MAVLink 1 | not acted on anyhow | refused |
 //!
-//! Without a key nothing is signed and nothing is checked. A stream is a link, a system and a
+//! Without a key nothing is signed and nothing is checked. A vehicle begins with `Required`: once SETUP_SIGNING has
+//! brought a key, the unsigned are refused. A stream is a link, a system and a
 //! component. The file of [`Store`] keeps the key and the newest timestamp of each stream, so a frame
 //! recorded before a restart is refused after it.
 

@@ -190,7 +190,7 @@ fn setpoints_are_taken_or_refused_for_a_reason() {
     assert_eq!(level(setpoint(mask(0x3F))), good, "yaw turns, beside it");
     assert_eq!(level(setpoint(mask(MASK_ACCEL | 0xF000))), good, "bits without a meaning");
     assert_eq!(verdict(setpoint(mask(0x0DFF))), Err(Refusal::Empty));
-    let one = verdict(setpoint(mask(0x0D7F))).unwrap();
+    let one = verdict(setpoint(mask(0x0C7F))).unwrap();
     assert_eq!((one.acceleration.level, one.acceleration.down), (None, Some(0.0)), "x ignores y too");
     assert_eq!(level(setpoint(mask(0))), Ok(None), "a position too");
     assert_eq!(level(setpoint(|m| m.afz = -1.0)), Ok(None), "it leaves the plane");

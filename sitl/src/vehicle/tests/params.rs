@@ -121,7 +121,7 @@ fn what_cannot_be_set_is_answered_with_the_old_value() {
         ("FS_SETP_ACT", [3.0, -1.0], 0.0),
         ("FS_SETP_TIME", [0.0, f32::NAN], 3.0),
         ("WP_SPEED", [51.0, 0.0], 20.0),
-        ("SIGN_REQUIRED", [2.0, f32::NAN], 0.0),
+        ("SIGN_REQUIRED", [2.0, f32::NAN], 1.0),
         ("GOAL_E", [501.0, -1.0], 450.0),
         ("RATE_ATTITUDE", [f32::NAN, f32::NEG_INFINITY], 4.0),
         ("RATE_ATTITUDE", [-1.0, 51.0], 4.0),
@@ -185,7 +185,8 @@ fn every_parameter_that_can_be_set_takes_another_value_and_keeps_it() {
             ("RADIO_TXP", _) => 4.0,
             (_, 0.0) => 1.0,
             ("DYN_WALLS", _) => 0.0,
-            ("RADIO_RULE", _) => 2.0,
+            ("RADIO_RULE" | "FENCE_ACTION", _) => 2.0,
+            ("SIGN_REQUIRED", _) => 0.0,
             _ => value * 1.0625,
         };
         let reply = bench.send(&dialect::PARAM_SET_DATA {
