@@ -15,8 +15,7 @@ use std::time::Duration;
 
 use super::Vehicle;
 use super::messages::{self, VehicleState};
-use crate::camera::SIDE;
-use crate::link::dialect::{self, CameraCapFlags, MavBool, MavResult, StorageStatus};
+use crate::link::dialect::{self, MavBool, MavResult};
 use crate::link::wire::Ask;
 use crate::link::{CAMERA, MessageData, PeerId};
 use crate::units::Tick;
@@ -66,18 +65,17 @@ struct ShotSeries {
     seconds: f32,
 }
 
-/// What CAMERA_CAPTURE_STATUS tells.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct ShotsStatus {
-    count: i32,
-    /// Seconds between the pictures of a series under way.
-    interval_s: Option<f32>,
-}
-
 impl Shots {
-    /// What CAMERA_CAPTURE_STATUS tells.
-    pub fn status(&self) -> ShotsStatus {
-        ShotsStatus { count: self.count, interval_s: self.series.map(|series| series.seconds) }
+    /// CAMERA_CAPTURE_STATUS.
+    pub fn status(&self, time_boot_ms: u32) -> dialect::CAMERA_CAPTURE_STATUS_DATA {
+        dialect::CAMERA_CAPTURE_STATUS_DATA {
+            time_boot_ms,
+            image_interval: self.series.map_or(0.0, |series| series.seconds),
+            // 2: a series is under way, between two pictures.
+            image_status: if self.series.is_some() { 2 } else { 0 },
+            image_count: self.count,
+            ..Default::default()
+        }
     }
 }
 
@@ -186,59 +184,5 @@ fn captured(state: &VehicleState, image_index: i32) -> dialect::CAMERA_IMAGE_CAP
         camera_id: 0,
         capture_result: MavBool::MAV_BOOL_TRUE,
         file_url: "".into(),
-    }
-}
-
-/// CAMERA_INFORMATION: it takes pictures, and has no lens whose length there would be.
-pub(super) fn information(state: &VehicleState) -> dialect::CAMERA_INFORMATION_DATA {
-    let name = |text: &str| {
-        let mut bytes = [0; 32];
-        bytes.iter_mut().zip(text.bytes()).for_each(|(to, from)| *to = from);
-        bytes
-    };
-    dialect::CAMERA_INFORMATION_DATA {
-        time_boot_ms: state.boot_ms(),
-        firmware_version: 1,
-        focal_length: f32::NAN,
-        sensor_size_h: f32::NAN,
-        sensor_size_v: f32::NAN,
-        flags: CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
-        resolution_h: SIDE as u16,
-        resolution_v: SIDE as u16,
-        vendor_name: name("CRPL"),
-        model_name: name("field from above"),
-        ..Default::default()
-    }
-}
-
-/// CAMERA_SETTINGS: there is one mode, for images.
-pub(super) fn settings(state: &VehicleState) -> dialect::CAMERA_SETTINGS_DATA {
-    dialect::CAMERA_SETTINGS_DATA {
-        time_boot_ms: state.boot_ms(),
-        zoomLevel: f32::NAN,
-        focusLevel: f32::NAN,
-        ..Default::default()
-    }
-}
-
-/// STORAGE_INFORMATION: there is none.
-pub(super) fn storage(state: &VehicleState) -> dialect::STORAGE_INFORMATION_DATA {
-    dialect::STORAGE_INFORMATION_DATA {
-        time_boot_ms: state.boot_ms(),
-        status: StorageStatus::STORAGE_STATUS_NOT_SUPPORTED,
-        ..Default::default()
-    }
-}
-
-/// CAMERA_CAPTURE_STATUS.
-pub(super) fn status(state: &VehicleState) -> dialect::CAMERA_CAPTURE_STATUS_DATA {
-    let ShotsStatus { count, interval_s } = state.shots;
-    dialect::CAMERA_CAPTURE_STATUS_DATA {
-        time_boot_ms: state.boot_ms(),
-        image_interval: interval_s.unwrap_or(0.0),
-        // 2: a series is under way, between two pictures.
-        image_status: if interval_s.is_some() { 2 } else { 0 },
-        image_count: count,
-        ..Default::default()
     }
 }

@@ -20,6 +20,7 @@ use super::plan::{Fault, StoredItem};
 use super::{Vehicle, guidance};
 use crate::link::dialect::{self, FenceBreach, FenceMitigate, MavMissionResult, MavSeverity};
 use crate::scenario::Action;
+use crate::world::dynamics::State;
 
 const RETURN_POINT: u16 = 5000;
 const POLYGON_INSIDE: u16 = 5001;
@@ -175,7 +176,10 @@ impl Vehicle {
         }
         let scenario = self.sim.scenario();
         let state = self.sim.world().uav;
-        let rest = guidance::rest(state, &scenario.dynamics);
+        // The station's acceleration is flown for one interval before the vehicle can brake.
+        let is_pushed = self.conduct.mode == Mode::Guided && self.conduct.guided.is_none();
+        let push = if is_pushed { self.sim.flown() * scenario.dynamics.a_max } else { Vector2::zeros() };
+        let rest = guidance::rest(State { v: state.v + push, ..state }, &scenario.dynamics);
         let [here, there] = [state.r, rest].map(|r| self.fence.allows(scenario.scale.ned_from_paper(r)));
         let breached = !here || !there;
         let begins = breached && !self.fence.breached;

@@ -39,7 +39,7 @@ pub(super) fn approach_velocity(
 
 /// Where the UAV comes to rest if it brakes from now on, with the share of its power that an approach counts on.
 pub(super) fn rest(state: State, dynamics: &Dynamics) -> Vector2<f64> {
-    // A step of the speed is what brakes in one interval; speeds v - b, v - 2b, ... sum to v (v - b) / 2b at most.
+    // Speeds v, v - b, v - 2b, ... sum to v (v + b) / 2b.
     let speed = state.v.norm();
     let loss = MARGIN * dynamics.a_max;
     state.r + state.v * ((speed + loss) / (2.0 * loss))

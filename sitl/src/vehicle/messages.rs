@@ -37,14 +37,14 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
-use super::camera::{self, ShotsStatus};
 use super::geodesy::{self, Site};
 use super::heading::Heading;
 use super::height::Height;
 use super::modes::Conduct;
+use crate::camera::SIDE;
 use crate::link::dialect::{
-    self, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState,
-    MavSysStatusSensor, MavSysStatusSensorExtended, MavType, MavVtolState,
+    self, CameraCapFlags, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability,
+    MavState, MavSysStatusSensor, MavSysStatusSensorExtended, MavType, MavVtolState, StorageStatus,
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
@@ -68,7 +68,7 @@ pub(super) struct VehicleState {
     pub height: Height,
     pub heading: Heading,
     pub site: Site,
-    pub shots: ShotsStatus,
+    pub shots: dialect::CAMERA_CAPTURE_STATUS_DATA,
     pub fence: dialect::FENCE_STATUS_DATA,
     pub system_status: MavState,
     pub mission: dialect::MISSION_CURRENT_DATA,
@@ -215,10 +215,10 @@ pub(super) static ROWS: &[Row] = &[
     row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
     row!(FENCE_STATUS_DATA, Goes::OnRequest, |state: &VehicleState| state.fence.clone()),
     Row { component: CAMERA, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &VehicleState| camera_heartbeat()) },
-    camera_row!(CAMERA_INFORMATION_DATA, camera::information),
-    camera_row!(CAMERA_SETTINGS_DATA, camera::settings),
-    camera_row!(STORAGE_INFORMATION_DATA, camera::storage),
-    camera_row!(CAMERA_CAPTURE_STATUS_DATA, camera::status),
+    camera_row!(CAMERA_INFORMATION_DATA, camera_information),
+    camera_row!(CAMERA_SETTINGS_DATA, camera_settings),
+    camera_row!(STORAGE_INFORMATION_DATA, camera_storage),
+    camera_row!(CAMERA_CAPTURE_STATUS_DATA, |state: &VehicleState| state.shots.clone()),
 ];
 
 impl VehicleState {
@@ -469,4 +469,45 @@ pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
 /// MAVLink 2 is spoken, and nothing older.
 fn protocol(_: &VehicleState) -> dialect::PROTOCOL_VERSION_DATA {
     dialect::PROTOCOL_VERSION_DATA { version: 200, min_version: 200, max_version: 200, ..Default::default() }
+}
+
+/// CAMERA_INFORMATION: it takes pictures, and has no lens whose length there would be.
+fn camera_information(state: &VehicleState) -> dialect::CAMERA_INFORMATION_DATA {
+    let name = |text: &str| {
+        let mut bytes = [0; 32];
+        bytes.iter_mut().zip(text.bytes()).for_each(|(to, from)| *to = from);
+        bytes
+    };
+    dialect::CAMERA_INFORMATION_DATA {
+        time_boot_ms: state.boot_ms(),
+        firmware_version: 1,
+        focal_length: f32::NAN,
+        sensor_size_h: f32::NAN,
+        sensor_size_v: f32::NAN,
+        flags: CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
+        resolution_h: SIDE as u16,
+        resolution_v: SIDE as u16,
+        vendor_name: name("CRPL"),
+        model_name: name("field from above"),
+        ..Default::default()
+    }
+}
+
+/// CAMERA_SETTINGS: there is one mode, for images.
+fn camera_settings(state: &VehicleState) -> dialect::CAMERA_SETTINGS_DATA {
+    dialect::CAMERA_SETTINGS_DATA {
+        time_boot_ms: state.boot_ms(),
+        zoomLevel: f32::NAN,
+        focusLevel: f32::NAN,
+        ..Default::default()
+    }
+}
+
+/// STORAGE_INFORMATION: there is none.
+fn camera_storage(state: &VehicleState) -> dialect::STORAGE_INFORMATION_DATA {
+    dialect::STORAGE_INFORMATION_DATA {
+        time_boot_ms: state.boot_ms(),
+        status: StorageStatus::STORAGE_STATUS_NOT_SUPPORTED,
+        ..Default::default()
+    }
 }

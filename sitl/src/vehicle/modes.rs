@@ -22,7 +22,7 @@
 //! | NAV_LAND, NAV_RETURN_TO_LAUNCH | ACCEPTED, as LAND and RTL |
 //! | MISSION_START | ACCEPTED, as AUTO from the current item |
 //! | DO_PAUSE_CONTINUE 0, 1 | ACCEPTED: LOITER; the mission goes on, or GUIDED; else DENIED |
-//! | DO_REPOSITION to a point and a height that can be flown to, in GUIDED or with the flag to change mode | ACCEPTED, else DENIED; without a place or a height the present one stays |
+//! | DO_REPOSITION in the air to a point and a height that can be flown to, in GUIDED or with the flag to change mode | ACCEPTED, else DENIED; without a place or a height the present one stays |
 //! | CONDITION_YAW, absolute or relative | ACCEPTED in GUIDED and AUTO, else FAILED |
 //! | DO_CHANGE_SPEED to a ground speed up to the limit, a speed of climb; -1 no change, -2 the speed of its start | ACCEPTED, else DENIED |
 //!
@@ -337,6 +337,7 @@ impl Vehicle {
         let height_m = self.height_asked(ask);
         let refused = match place {
             _ if self.conduct.mode != Mode::Guided && !changes => Some("not in GUIDED"),
+            _ if !self.conduct.armed || self.height.on_ground() => Some("on the ground"),
             None => Some("not in the square"),
             Some(_) if !height_m.is_nan() && !height::is_flyable(height_m) => Some("below the ground"),
             Some(_) => None,

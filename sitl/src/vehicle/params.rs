@@ -36,7 +36,6 @@
 use std::time::Duration;
 
 use super::Vehicle;
-use super::rates::RATES_HZ;
 use crate::link::dialect::{self, MavParamError, MavParamType};
 use crate::link::encoder::DATAGRAM;
 use crate::link::messages::Target;
@@ -540,7 +539,7 @@ impl Vehicle {
             return false;
         }
         match param.holds {
-            Holds::Rate(id) if value == 0.0 || RATES_HZ.contains(&value) => {
+            Holds::Rate(id) if Self::takes_rate(value) => {
                 self.set_default_hz(id, value.into(), now);
             }
             Holds::TxPower => {

@@ -26,7 +26,7 @@ use crate::link::{AUTOPILOT, PeerId};
 /// The shortest interval of a stream: 50 Hz.
 const SHORTEST_US: f32 = 20_000.0;
 /// The rates of a stream, Hz: from the longest interval that MESSAGE_INTERVAL can tell to the shortest.
-pub(super) const RATES_HZ: std::ops::RangeInclusive<f32> = 1e6 / i32::MAX as f32..=1e6 / SHORTEST_US;
+const RATES_HZ: std::ops::RangeInclusive<f32> = 1e6 / i32::MAX as f32..=1e6 / SHORTEST_US;
 const HEARTBEAT_US: i32 = 1_000_000;
 
 /// The streams of a peer.
@@ -78,6 +78,11 @@ fn interval(hz: f64) -> Option<Duration> {
 }
 
 impl Vehicle {
+    /// Whether a stream can have this rate, Hz; 0 is none.
+    pub(super) fn takes_rate(hz: f32) -> bool {
+        hz == 0.0 || RATES_HZ.contains(&hz)
+    }
+
     /// Gives a peer the streams that it need not ask for.
     pub(super) fn set_default_rates(&mut self, address: PeerId, now: Duration) {
         for row in ROWS {

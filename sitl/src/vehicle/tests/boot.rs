@@ -61,6 +61,14 @@ fn on_the_ground_it_is_disarmed_until_somebody_arms_it_and_takes_off() {
     bench.send(&setpoint(0, 5.0));
     bench.vehicle.advance(bench.now);
     assert_eq!(bench.vehicle.sim.telemetry().velocity, [0.0; 2]);
+    let here = dialect::COMMAND_LONG_DATA {
+        param5: f32::NAN,
+        param6: f32::NAN,
+        param7: 50.0,
+        ..ask(MavCmd::MAV_CMD_DO_REPOSITION, -1.0, (7, 1))
+    };
+    let denied = Some(MavResult::MAV_RESULT_DENIED);
+    assert_eq!(result(&bench.send(&here)), denied, "what is not flown is not accepted");
     bench.send(&ask(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0, (7, 1)));
     let takeoff =
         dialect::COMMAND_LONG_DATA { param7: 20.0, ..ask(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0, (7, 1)) };
