@@ -161,7 +161,7 @@ fn a_failsafe_is_set_in_flight_and_a_radio_at_boot() {
     let mut bench = Bench::new();
     bench.hello();
     assert_eq!(set(&mut bench, "FS_SETP_ACT", 1.0)[0].2, 1.0);
-    assert_eq!(bench.vehicle.settings.failsafe.setpoint_action, crate::scenario::Action::Brake);
+    assert_eq!(bench.vehicle.settings.failsafe.setpoint_action, Action::Brake);
     assert_eq!(set(&mut bench, "RADIO_B_DT", 2.5)[0].2, 2.5);
     assert_eq!(bench.vehicle.sim.scenario().radio.b_dt, 4.0, "the flight goes on as it began");
     let params = bench.vehicle.settable_params();
@@ -171,7 +171,7 @@ fn a_failsafe_is_set_in_flight_and_a_radio_at_boot() {
     assert_eq!(again.settable_params(), params);
     let mut expected = Scenario::default();
     expected.radio.b_dt = 2.5;
-    expected.failsafe.setpoint_action = crate::scenario::Action::Brake;
+    expected.failsafe.setpoint_action = Action::Brake;
     assert_eq!(*again.sim.scenario(), expected, "what was not changed is what it was, to the last bit");
 }
 
