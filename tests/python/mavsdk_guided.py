@@ -56,8 +56,12 @@ async def fly(system):
 
     north = math.degrees(80.0 / EARTH_RADIUS_M)
     height = home.absolute_altitude_m + 35.0
-    await action.goto_location(home.latitude_deg + north, home.longitude_deg, height, math.nan)
-    await reach(telemetry, 80, 0, 35)
+    # A setpoint that was on its way when offboard stopped takes the vehicle back, as it takes ArduCopter.
+    arrived = asyncio.ensure_future(reach(telemetry, 80, 0, 35))
+    while not arrived.done():
+        await action.goto_location(home.latitude_deg + north, home.longitude_deg, height, math.nan)
+        await asyncio.wait([arrived], timeout=5.0)
+    await arrived
     print("went to a place on Earth, and its height")
 
 

@@ -185,7 +185,8 @@ impl Vehicle {
         let begins = breached && !self.fence.breached;
         self.fence.breached = breached;
         let is_safe = matches!(self.conduct.mode, Mode::Brake | Mode::Return | Mode::Land);
-        if !(begins || here && !there && !is_safe) {
+        let leaves = here && !there && !is_safe;
+        if !begins && !leaves {
             return;
         }
         if begins {

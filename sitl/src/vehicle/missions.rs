@@ -14,7 +14,7 @@
 //! | the same while another station uploads | ACK DENIED |
 //! | MISSION_WRITE_PARTIAL_LIST | requests of those items; beyond the list: ACK INVALID_SEQUENCE |
 //! | an item that nobody asked for | ACK ERROR |
-//! | an item that is in already | nothing, also for 5 s after the upload: the timer asks again; the last one of a finished upload: ACK ACCEPTED |
+//! | an item that is in already | nothing, also for a second after the upload: the timer asks again; the last one of a finished upload: ACK ACCEPTED |
 //! | an item ahead of its turn | the request for the right one, again |
 //! | an item with current 2 or 3, as DroneKit's `simple_goto` sends it | flown in GUIDED: to its point and height, or to its height; ACK ACCEPTED, or its fault |
 //! | MISSION_CLEAR_ALL | ACK ACCEPTED; type 255 clears all lists |
@@ -46,7 +46,7 @@ const MAX_ITEMS: u16 = 700;
 /// How long an item is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// For how long after an upload a copy of one of its items may be on its way.
-const LATE: Duration = Duration::from_secs(5);
+const LATE: Duration = Duration::from_secs(1);
 /// How often it is asked for again.
 const MAX_TRIES: u32 = 5;
 

@@ -121,7 +121,7 @@ fn one_peer_too_many_is_refused_until_another_is_silent() {
 fn a_mission_outlives_a_reboot() {
     let mut bench = Bench::new();
     bench.hello();
-    bench.vehicle.rally = vec![plan::StoredItem::home([0, 0], 0.0)];
+    bench.vehicle.rally = vec![StoredItem::home([0, 0], 0.0)];
     bench.send(&ask(MavCmd::MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, (7, 1)));
     let list = dialect::MISSION_REQUEST_LIST_DATA {
         target_system: 7,
