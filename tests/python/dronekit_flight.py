@@ -56,6 +56,14 @@ def main(address):
     print(f"pushed north to {vehicle.location.local_frame.north:.1f} m, and braked")
 
     there = vehicle.location.global_relative_frame
+    goal = LocationGlobalRelative(there.lat + math.degrees(20.0 / 6_378_137.0), there.lon, 60.0)
+    before = vehicle.location.local_frame.north
+    vehicle.simple_goto(goal)
+    until("the goal of simple_goto", lambda: vehicle.location.local_frame.north > before + 19.0)
+    until("its height", lambda: abs(vehicle.location.global_relative_frame.alt - 60.0) < 0.5)
+    print(f"went to {vehicle.location.local_frame.north:.1f} m, 60 m high")
+
+    there = vehicle.location.global_relative_frame
     north = LocationGlobalRelative(there.lat + math.degrees(50.0 / 6_378_137.0), there.lon, there.alt)
     before = vehicle.location.local_frame.north
     commands = vehicle.commands

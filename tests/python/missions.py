@@ -92,9 +92,9 @@ def main(address):
     link.send.mission_item_int_send(*items[1])
     ack = link.wait_for("MISSION_ACK", VEHICLE)
     assert ack.type == mavlink.MAV_MISSION_ERROR, ack
-    landing_gear = item(1, way[1], command=mavlink.MAV_CMD_AIRFRAME_CONFIGURATION)
-    assert upload(link, [items[0], landing_gear]) == mavlink.MAV_MISSION_UNSUPPORTED
-    elsewhere = item(1, (0, 900_000_000))
+    follow = item(1, way[1], command=mavlink.MAV_CMD_NAV_FOLLOW)
+    assert upload(link, [items[0], follow]) == mavlink.MAV_MISSION_UNSUPPORTED
+    elsewhere = item(1, (900_000_001, 0))
     assert upload(link, [items[0], elsewhere]) != mavlink.MAV_MISSION_ACCEPTED
     assert len(download(link)) == len(items), "a refused mission took the old one's place"
 

@@ -69,6 +69,8 @@ impl std::fmt::Display for PeerId {
 pub const AUTOPILOT: u8 = 1;
 /// Component id of the radio (MAV_COMP_ID_TELEMETRY_RADIO).
 pub const RADIO: u8 = 68;
+/// Component id of the camera (MAV_COMP_ID_CAMERA).
+pub const CAMERA: u8 = 100;
 /// System id of the ground station.
 pub const STATION_SYSTEM: u8 = 255;
 /// Component id of the ground station (MAV_COMP_ID_MISSIONPLANNER, as ground stations do).

@@ -36,6 +36,8 @@ pub struct NoParam {
 /// # Errors
 /// A line that is no parameter: the error names it.
 pub fn parse(text: &str) -> Result<Vec<Entry>, NoParam> {
+    // Some editors mark their files so.
+    let text = text.trim_start_matches('\u{feff}');
     let lines =
         text.lines().enumerate().map(|(k, text)| (k + 1, text.split('#').next().unwrap_or("").trim()));
     lines
@@ -77,6 +79,12 @@ mod tests {
             parse(text).unwrap().into_iter().map(|e| (e.line, e.name, e.value)).collect();
         let expected = [(2, "A_ONE", 1.5), (3, "A_TWO", -2e-3), (4, "B_ONE", 3.0), (6, "C_ONE", 4.25)];
         assert_eq!(found, expected.map(|(line, name, value)| (line, name.to_owned(), value)));
+    }
+
+    /// It was refused as a parameter with a puzzling name.
+    #[test]
+    fn a_byte_order_mark_is_no_parameter() {
+        assert_eq!(parse("\u{feff}A 1\n").unwrap()[0].name, "A");
     }
 
     #[test]

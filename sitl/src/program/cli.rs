@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::{Parser, ValueEnum};
+use tokio::sync::watch;
 
 use crate::link::endpoint::{Endpoint, HostPort};
 use crate::link::links::Links;
@@ -13,10 +14,14 @@ use crate::link::signing::{Policy, Signing, Store};
 use crate::program::camera::CameraFlag;
 use crate::program::fleet;
 use crate::program::shell::{Ended, LINKS, Shell};
-use crate::program::terminal::{positive, say};
+use crate::program::terminal::{Signals, positive, say};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Scenario, presets};
-use crate::vehicle::Vehicle;
+use crate::vehicle::geodesy::Home;
+use crate::vehicle::{Start, Vehicle};
+
+/// The longest control interval on the wall: a timer has no time beyond some ages.
+const LONGEST_PERIOD: Duration = Duration::from_secs(365 * 86_400);
 
 /// What makes a control interval pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -79,9 +84,18 @@ pub struct Args {
     /// --instances, all vehicles start with this key and vehicle N stores its own in FILE.N
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
-    /// Whether unsigned messages are accepted
-    #[arg(long, value_enum, default_value = "optional")]
-    pub signing: SigningPolicy,
+    /// Whether unsigned messages are accepted [default: as long as there is no key]
+    #[arg(long, value_enum)]
+    pub signing: Option<SigningPolicy>,
+    /// Begin on the ground, disarmed: arm, then take off
+    #[arg(long)]
+    pub on_ground: bool,
+    /// Where the vehicle starts, as in ArduPilot's simulator: degrees, degrees, m above the sea, degrees
+    #[arg(long, value_name = "LAT,LON,ALT,HEADING", allow_hyphen_values = true)]
+    pub home: Option<Home>,
+    /// Fly anywhere: no walls, no obstacles, no packet loss, and the start at the local origin
+    #[arg(long)]
+    pub open: bool,
     /// Print timing statistics at the end: delay of control intervals, CPU time
     #[arg(long)]
     pub stats: bool,
@@ -116,6 +130,12 @@ impl Args {
         vec![Endpoint::UdpIn(HostPort { host: local, port: 14_550 })]
     }
 
+    /// The scenario, opened if that was asked for.
+    fn scenario(&self) -> Result<Scenario> {
+        let scenario = self.camera.scenario(&self.scenario)?;
+        Ok(if self.open { scenario.open() } else { scenario })
+    }
+
     /// Each vehicle that was asked for.
     fn vehicles(&self, scenario: &Scenario) -> Result<Vec<Vehicle>> {
         let most = usize::from(u8::MAX - self.sysid) + 1;
@@ -132,8 +152,13 @@ impl Args {
         let vehicles = (0..count).map(|index| {
             let scenario = fleet::scenario(scenario, self.seed, index);
             let seed = self.seed.wrapping_add(index as u64);
-            Vehicle::boot(&scenario, seed, self.sysid + index as u8, self.ticks, &params)
-                .with_context(|| path.clone())
+            let mut vehicle = Vehicle::boot(&scenario, seed, self.sysid + index as u8, self.ticks, &params)
+                .with_context(|| path.clone())?;
+            vehicle.set_start(Start { on_ground: self.on_ground, home: self.home });
+            if let Some(policy) = self.signing {
+                vehicle.signing_mut().set_policy(policy.into());
+            }
+            Ok(vehicle)
         });
         vehicles.collect()
     }
@@ -154,36 +179,52 @@ impl Args {
 
     /// Key and timestamps of each vehicle, and their files; none without a key.
     fn signing(&self) -> Result<Vec<(Signing, Store)>> {
-        let policy = Policy::from(self.signing);
+        let required = self.signing == Some(SigningPolicy::Required);
         let Some(path) = &self.signing_key else {
-            anyhow::ensure!(policy == Policy::Optional, "--signing required needs --signing-key FILE");
+            anyhow::ensure!(!required, "--signing required needs --signing-key FILE");
             return Ok(Vec::new());
         };
         let shared = Store::new(path);
         let keys = (0..self.instances).map(|index| {
             let several = self.instances > 1;
             let store = if several { shared.of_system(self.sysid + index) } else { shared.clone() };
-            let signing = store.load_or(&shared, policy)?;
-            let has_key = signing.is_on() || policy == Policy::Optional;
-            anyhow::ensure!(has_key, "--signing required: there is no key in {}", path.display());
+            let signing = store.load_or(&shared, Policy::Required)?;
+            let has_key = signing.is_on();
+            anyhow::ensure!(
+                has_key || !required,
+                "--signing required: there is no key in {}",
+                path.display()
+            );
+            if !has_key {
+                let file = store.path().display();
+                tracing::warn!("signing: there is no key in {file}; unsigned until SETUP_SIGNING brings one");
+            }
             Ok((signing, store))
         });
         keys.collect()
     }
 }
 
-/// Flies until the last tick or Ctrl-C. The first line on stdout names the address.
+/// Flies until the last tick or a signal. The first line on stdout names the address; from then on no signal is
+/// lost.
 ///
 /// # Errors
-/// A scenario, parameter file or key that does not read, and an endpoint that cannot be opened.
+/// A scenario, parameter file or key that does not read, a file that cannot be written at the end, and an endpoint
+/// that cannot be opened.
 pub async fn run(args: Args) -> Result<()> {
-    let scenario = args.camera.scenario(&args.scenario)?;
+    let mut signals = Signals::listen().context("listening for signals")?;
+    let scenario = args.scenario()?;
+    if let Some(path) = &args.save_params {
+        writable(path).with_context(|| format!("writing {}", path.display()))?;
+    }
     let period = Duration::try_from_secs_f64(scenario.scale.interval_s / args.speed)
         .context("the control interval divided by --speed")?
-        .max(Duration::from_micros(1));
+        .clamp(Duration::from_micros(1), LONGEST_PERIOD);
     let mut shells = args.shells(&scenario).await?;
     let mut keys = args.signing()?.into_iter();
+    let (stop, stopping) = watch::channel(false);
     for shell in &mut shells {
+        shell.stop_on(stopping.clone());
         let vehicles = shell.vehicles().len();
         shell.keep_signing(keys.by_ref().take(vehicles));
     }
@@ -205,7 +246,14 @@ pub async fn run(args: Args) -> Result<()> {
             (index, ended, shell)
         });
     }
-    let mut flown = flights.join_all().await;
+    let all = flights.join_all();
+    tokio::pin!(all);
+    let mut flown = loop {
+        tokio::select! {
+            flown = &mut all => break flown,
+            _ = signals.next() => stop.send_replace(true),
+        };
+    };
     flown.sort_by_key(|(index, ..)| *index);
     for (_, ended, shell) in &flown {
         tell(*ended, shell, args.instances > 1);
@@ -219,6 +267,13 @@ pub async fn run(args: Args) -> Result<()> {
         say(&format!("stats: {}", stats(flown.iter().map(|(.., shell)| shell), wall, cpu)));
     }
     Ok(())
+}
+
+/// Whether a file can be written, before anything is flown that it is to hold. One that is not there is not made.
+fn writable(path: &Path) -> std::io::Result<()> {
+    let is_new = !path.exists();
+    std::fs::OpenOptions::new().append(true).create(true).open(path)?;
+    if is_new { std::fs::remove_file(path) } else { Ok(()) }
 }
 
 fn read_params(path: &Path) -> Result<Vec<Entry>> {
@@ -310,6 +365,24 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
     }
 
+    /// It was noticed after the flight.
+    #[test]
+    fn parameters_that_cannot_be_saved_are_noticed_before_the_flight() {
+        let flags = ["--save-params", "/nowhere/at/all.param", "--listen", "udpin:127.0.0.1:0"];
+        let error = crate::program::terminal::block_on(run(parse(&flags).unwrap())).unwrap_err();
+        assert!(one_line(&error).starts_with("writing /nowhere/at/all.param: "), "{}", one_line(&error));
+    }
+
+    #[test]
+    fn an_open_world_has_no_walls_and_starts_at_the_origin() {
+        let args = parse(&["--open", "--home", "-35.363261,149.165230,584,353", "--on-ground"]).unwrap();
+        let scenario = args.scenario().unwrap();
+        scenario.check().unwrap();
+        assert!(!scenario.dynamics.walls && scenario.obstacles.is_empty());
+        let vehicle = &args.vehicles(&scenario).unwrap()[0];
+        assert_eq!(vehicle.sim().telemetry().position, [0.0, 0.0]);
+    }
+
     #[test]
     fn nonsense_is_refused() {
         for flags in [
@@ -321,6 +394,8 @@ mod tests {
             ["--speed", "0"],
             ["--speed", "nan"],
             ["--ticks", "0"],
+            ["--home", "1,2,3"],
+            ["--home", "91,0,0,0"],
             ["--sysid", "0"],
             ["--pace", "fast"],
         ] {

@@ -13,6 +13,7 @@ use std::net::SocketAddr;
 use std::time::{Duration, SystemTime};
 
 use tokio::net::UdpSocket;
+use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links};
@@ -85,6 +86,8 @@ pub struct Shell {
     lateness: Histogram,
     /// Where each vehicle keeps its key, if they do.
     stores: Vec<Store>,
+    /// Turns true when the flight is to end; without it, a signal ends it.
+    stop: Option<watch::Receiver<bool>>,
 }
 
 impl Shell {
@@ -109,12 +112,34 @@ impl Shell {
             }
         }
         let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
-        Self { links, vehicles, start: Instant::now(), buffer, lateness, stores: Vec::new() }
+        Self { links, vehicles, start: Instant::now(), buffer, lateness, stores: Vec::new(), stop: None }
+    }
+
+    /// Ends the flight when `stop` turns true, in place of a signal.
+    pub fn stop_on(&mut self, stop: watch::Receiver<bool>) {
+        self.stop = Some(stop);
+    }
+
+    /// Returns when the flight is to end.
+    fn stopped(&self) -> impl Future<Output = ()> + use<> {
+        let stop = self.stop.clone();
+        async move {
+            let Some(mut stop) = stop else {
+                interrupted().await;
+                return;
+            };
+            if stop.wait_for(|stop| *stop).await.is_err() {
+                // Who could have stopped it is gone: it flies to its end.
+                std::future::pending().await
+            }
+        }
     }
 
     /// Gives the vehicles their keys, in their order, and keeps keys and timestamps in files.
+    /// What the vehicles do with unsigned packets stays as it is.
     pub fn keep_signing(&mut self, keys: impl IntoIterator<Item = (Signing, Store)>) {
-        for (vehicle, (signing, store)) in self.vehicles.iter_mut().zip(keys) {
+        for (vehicle, (mut signing, store)) in self.vehicles.iter_mut().zip(keys) {
+            signing.set_policy(vehicle.signing_mut().policy());
             vehicle.set_signing(signing);
             self.stores.push(store);
         }
@@ -149,7 +174,7 @@ impl Shell {
         let mut beat = interval(HEARTBEAT);
         let mut resend = Backoff::default();
         let mut last = None;
-        let mut interrupted = std::pin::pin!(interrupted());
+        let mut stopped = std::pin::pin!(self.stopped());
         loop {
             self.flush().await;
             if let Some(ended) = self.ended(&mut last) {
@@ -174,7 +199,7 @@ impl Shell {
                 }
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                _ = &mut interrupted => return Ended::Interrupted,
+                () = &mut stopped => return Ended::Interrupted,
             }
         }
     }
@@ -187,7 +212,7 @@ impl Shell {
         let mut timer = interval(period);
         timer.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut last = None;
-        let mut interrupted = std::pin::pin!(interrupted());
+        let mut stopped = std::pin::pin!(self.stopped());
         loop {
             self.flush().await;
             if let Some(ended) = self.ended(&mut last) {
@@ -199,7 +224,7 @@ impl Shell {
                 due = timer.tick() => self.interval(due),
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
-                _ = &mut interrupted => return Ended::Interrupted,
+                () = &mut stopped => return Ended::Interrupted,
             }
         }
     }

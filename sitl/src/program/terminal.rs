@@ -28,7 +28,7 @@ pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> Ex
     match work(args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", one_line(&error));
+            complain(&format!("error: {}", one_line(&error)));
             error.downcast_ref::<ExitWith>().map_or(ExitCode::FAILURE, |exit| exit.code.into())
         }
     }
@@ -100,6 +100,8 @@ fn log() {
         )
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
+        // A reader that has gone away is no reason to stop, and telling it of that is impossible.
+        .log_internal_errors(false)
         .init();
 }
 
@@ -119,7 +121,7 @@ fn usage(
         let _ = error.print();
         return ExitCode::SUCCESS;
     }
-    eprintln!("{} (see --help)", complaint(program, error, args));
+    complain(&format!("{} (see --help)", complaint(program, error, args)));
     ExitCode::from(2)
 }
 
@@ -170,19 +172,68 @@ pub fn say(line: &str) {
     let _ = writeln!(stdout, "{}", line.trim_end()).and_then(|()| stdout.flush());
 }
 
-/// Waits for a signal that asks the program to end.
-pub async fn interrupted() -> Signal {
+/// The signals that ask the program to end, from the moment on at which they are listened to: one that comes
+/// while nobody waits is kept.
+#[derive(Debug)]
+pub struct Signals {
     #[cfg(unix)]
-    {
+    kinds: [(Signal, tokio::signal::unix::Signal); 3],
+}
+
+impl Signals {
+    /// Listens from now on.
+    ///
+    /// # Errors
+    /// The system gives no signals.
+    #[cfg(unix)]
+    pub fn listen() -> std::io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
-        let (terminate, hangup) = (signal(SignalKind::terminate()), signal(SignalKind::hangup()));
-        if let (Ok(mut terminate), Ok(mut hangup)) = (terminate, hangup) {
-            return tokio::select! {
-                _ = tokio::signal::ctrl_c() => Signal::Interrupt,
-                _ = terminate.recv() => Signal::Terminate,
-                _ = hangup.recv() => Signal::Hangup,
-            };
+        let kinds = [
+            (Signal::Interrupt, signal(SignalKind::interrupt())?),
+            (Signal::Terminate, signal(SignalKind::terminate())?),
+            (Signal::Hangup, signal(SignalKind::hangup())?),
+        ];
+        Ok(Self { kinds })
+    }
+
+    /// Listens, where there is Ctrl-C alone.
+    ///
+    /// # Errors
+    /// None.
+    #[cfg(not(unix))]
+    pub fn listen() -> std::io::Result<Self> {
+        Ok(Self {})
+    }
+
+    /// The next signal.
+    #[cfg(unix)]
+    pub async fn next(&mut self) -> Signal {
+        let [interrupt, terminate, hangup] = &mut self.kinds;
+        tokio::select! {
+            _ = interrupt.1.recv() => interrupt.0,
+            _ = terminate.1.recv() => terminate.0,
+            _ = hangup.1.recv() => hangup.0,
         }
+    }
+
+    /// The next signal.
+    #[cfg(not(unix))]
+    pub async fn next(&mut self) -> Signal {
+        let _ = tokio::signal::ctrl_c().await;
+        Signal::Interrupt
+    }
+}
+
+/// Writes a line to stderr. A closed pipe is no reason to stop.
+fn complain(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
+}
+
+/// Waits for a signal that asks the program to end. Where a signal must not be lost before this is waited for,
+/// [`Signals`] listens earlier.
+pub async fn interrupted() -> Signal {
+    if let Ok(mut signals) = Signals::listen() {
+        return signals.next().await;
     }
     let _ = tokio::signal::ctrl_c().await;
     Signal::Interrupt

@@ -248,6 +248,15 @@ pub fn new_spelling(key: &str) -> Option<&'static str> {
     RENAMED.iter().find(|(old, _)| *old == key).map(|(_, new)| *new)
 }
 
+/// The key on the line at which a parser's `span` of a text begins, if a value stands there.
+pub(super) fn key_at(text: &str, span: Option<std::ops::Range<usize>>) -> Option<&str> {
+    let start = span?.start;
+    let line = text.get(..start)?.rsplit('\n').next()?.len();
+    let (key, _) = text.get(start - line..)?.lines().next()?.split_once('=')?;
+    // Before the sign stands the key itself, of which the parser speaks.
+    (line > key.len()).then(|| key.trim())
+}
+
 /// The former spelling that a scenario's text uses.
 pub(super) fn renamed(text: &str) -> Option<ScenarioError> {
     let table: toml::Table = toml::from_str(text).ok()?;

@@ -427,6 +427,19 @@ impl Scenario {
         Ok(scenario)
     }
 
+    /// The same without walls, obstacles, gusts and packet loss, and with its start at the local origin: for
+    /// flights that lead anywhere.
+    #[must_use]
+    pub fn open(mut self) -> Self {
+        self.name = format!("{}, open", self.name);
+        self.obstacles.clear();
+        self.start = Vector2::zeros();
+        self.dynamics.walls = false;
+        self.disturbance.sigma_c = 0.0;
+        self.radio.rule = Rule::Ideal;
+        self
+    }
+
     /// Puts the first obstacle where Scenario 1 or 2 has it; all else stays.
     ///
     /// # Errors
@@ -497,9 +510,14 @@ impl Scenario {
     /// # Errors
     /// The text is no TOML, has an unknown or former key, or a value out of range: the error names it.
     pub fn from_toml(text: &str) -> Result<Self, anyhow::Error> {
+        // Some editors mark their files so.
+        let text = text.trim_start_matches('\u{feff}');
         let scenario: Self = toml::from_str(text).map_err(|error| match check::renamed(text) {
             Some(renamed) => anyhow::Error::from(renamed),
-            None => error.into(),
+            None => match check::key_at(text, error.span()) {
+                Some(key) => anyhow::anyhow!("`{key}`: {error}"),
+                None => error.into(),
+            },
         })?;
         scenario.check()?;
         Ok(scenario)
@@ -517,6 +535,28 @@ mod tests {
         scenario.check().unwrap();
         let text = toml::to_string(&scenario).unwrap();
         assert_eq!(Scenario::from_toml(&text).unwrap(), scenario);
+    }
+
+    #[test]
+    fn a_value_of_another_form_is_told_with_its_key() {
+        for (text, key) in [
+            ("start = [0.1, 0.5, 0.0]\n", "`start`"),
+            ("[radio]\n  b_dt = \"much\"\n", "`b_dt`"),
+            ("[[obstacle]]\nposition = [0.5]\n", "`position`"),
+        ] {
+            let error = Scenario::from_toml(text).unwrap_err();
+            let told = crate::program::terminal::one_line(&error);
+            assert!(told.contains(key), "{told}");
+        }
+    }
+
+    /// The one table without defaults: "missing field `metres_per_unit`".
+    #[test]
+    fn a_scale_of_a_single_key_keeps_the_others() {
+        for text in ["[scale]\ninterval_s = 0.2\n", "[scale]\nmetres_per_unit = 60.0\n"] {
+            let scale = Scenario::from_toml(text).unwrap().scale;
+            assert_eq!(scale.altitude_m, Scale::default().altitude_m);
+        }
     }
 
     #[test]

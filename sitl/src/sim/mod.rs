@@ -85,6 +85,12 @@ impl Sim {
         &self.world
     }
 
+    /// The seed of its gusts.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
     /// What became of the commands so far.
     #[must_use]
     pub fn fates(&self) -> Fates {

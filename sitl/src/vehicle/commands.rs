@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::modes::{self, Mode};
-use super::{Vehicle, messages};
+use super::{Vehicle, camera, messages};
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, ImageRequest};
 use crate::link::messages::command::SetMode;
@@ -14,13 +14,16 @@ use crate::link::messages::status::Heartbeat;
 use crate::link::messages::{Target, View};
 use crate::link::packet::Packet;
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint};
-use crate::link::{AUTOPILOT, MessageData, PeerId, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, MessageData, PeerId, RADIO};
 use crate::radio::message::Command;
 use crate::units::TxPower;
 
+const CMD_PREFLIGHT_REBOOT: u16 = 246;
+const CMD_GET_HOME_POSITION: u16 = 410;
 const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
 const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
 const CMD_REQUEST_MESSAGE: u16 = 512;
+const CMD_REQUEST_PROTOCOL_VERSION: u16 = 519;
 const CMD_REQUEST_CAPABILITIES: u16 = 520;
 const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
 /// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole frame.
@@ -30,7 +33,7 @@ const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 impl Vehicle {
     pub(super) fn packet(&mut self, packet: &Packet, from: PeerId, now: Duration) {
         // Our own frames, sent back by a loop in somebody's routing.
-        if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO) {
+        if packet.system == self.system && matches!(packet.component, AUTOPILOT | RADIO | CAMERA) {
             return;
         }
         let asker = (packet.system, packet.component);
@@ -88,12 +91,12 @@ impl Vehicle {
 
     /// A stamp that is a tick's, of now or earlier, names that tick; any other means now.
     fn setpoint(&mut self, setpoint: Result<Setpoint, Refusal>, now: Duration) {
-        let Setpoint { stamp_ms, accel } = match setpoint {
+        let setpoint = match setpoint {
             Ok(setpoint) => setpoint,
             Err(refusal) => return self.refuse(refusal, now),
         };
         let current = self.sim.tick();
-        let stamped = self.clock.tick(stamp_ms).filter(|&tick| tick <= current);
+        let stamped = self.clock.tick_near(setpoint.stamp_ms, current).filter(|&tick| tick <= current);
         let tick = stamped.unwrap_or(current);
         if self.over() {
             self.acknowledged |= stamped == Some(current);
@@ -106,46 +109,73 @@ impl Vehicle {
             self.tally.stale += 1;
         }
         self.begun = true;
-        if self.takes_setpoints() {
-            self.sim.handle(Command::new(tick, accel, self.sim.power()));
+        if !self.takes_setpoints() {
+            self.tally.ignored += 1;
+            let is_guided = self.conduct.mode == Mode::Guided;
+            let why = if is_guided { "on the ground" } else { self.conduct.mode.name() };
+            self.refused("setpoint", &format!("setpoint ignored: {why}"), now);
             return;
         }
-        self.tally.ignored += 1;
-        let why = if self.conduct.mode == Mode::Guided { "on the ground" } else { self.conduct.mode.name() };
-        self.refused("setpoint", &format!("setpoint ignored: {why}"), now);
+        match setpoint.level_acceleration() {
+            Some(accel) => {
+                self.waiting_target = None;
+                self.turn(self.turn_of(&setpoint));
+                self.sim.handle(Command::new(tick, accel, self.sim.power()));
+            }
+            None => self.guide(&setpoint, tick, now),
+        }
     }
 
-    fn takes_setpoints(&self) -> bool {
+    pub(super) fn takes_setpoints(&self) -> bool {
         self.conduct.mode == Mode::Guided && self.conduct.armed && !self.height.on_ground()
     }
 
     fn refuse(&mut self, refusal: Refusal, now: Duration) {
         *self.tally.refused.entry(refusal).or_default() += 1;
-        let kind = match refusal {
-            Refusal::Frame => "refused frame",
-            Refusal::NotAcceleration => "refused mask",
-            Refusal::Force => "refused force",
-            Refusal::NotFinite => "refused value",
-        };
-        self.say(kind, MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
+        self.say(refusal.kind(), MavSeverity::MAV_SEVERITY_WARNING, &refusal.to_string(), now);
     }
 
     fn ask(&mut self, ask: &Ask, asker: (u8, u8), from: PeerId, now: Duration) {
         let (to_autopilot, to_radio) = (self.autopilot_is_meant(ask.target), self.radio_is_meant(ask.target));
-        if to_autopilot || to_radio {
+        let to_camera = ask.target.is(self.system, CAMERA);
+        if to_autopilot || to_radio || to_camera {
             self.loss_of_link.arrived();
         }
-        let component = if to_autopilot { AUTOPILOT } else { RADIO };
+        let component = match (to_autopilot, to_radio) {
+            (true, _) => AUTOPILOT,
+            (false, true) => RADIO,
+            (false, false) => CAMERA,
+        };
         let [first, second, ..] = ask.params;
         match ask.command {
             CMD_TX_POWER if to_radio => {
                 let result = self.tx_power([first, second]);
                 self.ack(ask.command, result, RADIO, asker, from);
             }
-            _ if !to_autopilot && !to_radio => {}
+            _ if !to_autopilot && !to_radio && !to_camera => {}
+            command if (to_camera || to_autopilot) && camera::COMMANDS.contains(&command) => {
+                let component = if to_camera { CAMERA } else { AUTOPILOT };
+                self.camera_command(ask, component, asker, from, now);
+            }
             CMD_REQUEST_MESSAGE if to_autopilot && first == IMAGE => {
                 self.ack(ask.command, OK, component, asker, from);
                 self.send_image(from);
+            }
+            CMD_GET_HOME_POSITION if to_autopilot => {
+                self.ack(ask.command, OK, AUTOPILOT, asker, from);
+                self.send_by_id(dialect::HOME_POSITION_DATA::ID, from, now);
+            }
+            CMD_REQUEST_PROTOCOL_VERSION if to_autopilot => {
+                self.ack(ask.command, OK, AUTOPILOT, asker, from);
+                self.send_by_id(dialect::PROTOCOL_VERSION_DATA::ID, from, now);
+            }
+            CMD_PREFLIGHT_REBOOT if to_autopilot => {
+                // 0 asks for nothing, 1 for a reboot; it has nothing that it could shut down or flash.
+                let result = if first == 0.0 || first == 1.0 { OK } else { MavResult::MAV_RESULT_DENIED };
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
+                if first == 1.0 {
+                    self.reboot(now);
+                }
             }
             CMD_REQUEST_MESSAGE => {
                 let found = self.requested(first, component, now);
@@ -156,8 +186,7 @@ impl Vehicle {
             }
             CMD_REQUEST_CAPABILITIES if to_autopilot => {
                 self.ack(ask.command, OK, AUTOPILOT, asker, from);
-                let version = messages::version(&self.state(now));
-                self.reply(from, &version);
+                self.send_by_id(dialect::AUTOPILOT_VERSION_DATA::ID, from, now);
             }
             CMD_SET_MESSAGE_INTERVAL => {
                 let result = self.set_interval([first, second], component, from, now);
@@ -195,6 +224,13 @@ impl Vehicle {
         }
         self.sim.set_power(power);
         MavResult::MAV_RESULT_ACCEPTED
+    }
+
+    /// Sends one peer the autopilot's message with this number.
+    fn send_by_id(&mut self, id: u32, to: PeerId, now: Duration) {
+        if let Some(row) = messages::row(id, AUTOPILOT) {
+            self.send_message(row, to, now);
+        }
     }
 
     fn image_request(&mut self, request: ImageRequest, from: PeerId, now: Duration) {
@@ -244,7 +280,22 @@ impl Vehicle {
         self.outbox.push_back((to, datagram));
     }
 
-    fn ack(&mut self, command: u16, result: MavResult, component: u8, asker: (u8, u8), to: PeerId) {
+    /// The same, as a message of the same layout.
+    pub(super) fn reply_twin<M: MessageData, V: View>(&mut self, to: PeerId, view: &V) {
+        let Some(peer) = self.peers.get_mut(&to) else { return };
+        let mut datagram = Vec::new();
+        peer.autopilot.push_payload::<M>(&mut datagram, &view.payload());
+        self.outbox.push_back((to, datagram));
+    }
+
+    pub(super) fn ack(
+        &mut self,
+        command: u16,
+        result: MavResult,
+        component: u8,
+        asker: (u8, u8),
+        to: PeerId,
+    ) {
         let Some(peer) = self.peers.get_mut(&to) else { return };
         let mut datagram = Vec::new();
         peer.encoder(component).push_ack(&mut datagram, command, result, asker);

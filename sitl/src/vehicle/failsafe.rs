@@ -3,7 +3,7 @@
 //!
 //! | silence | counts while | then, by `[failsafe]` of the scenario or `FS_*` parameters |
 //! |---|---|---|
-//! | of setpoints | in GUIDED, once one has got through | `hold`: the last action for ever, as in the paper (Sec. IV-A4); `brake`: to a stop, and on with the next setpoint; `return`: RTL |
+//! | of setpoints | in GUIDED, once one has got through, but not on the way to a place or there | `hold`: the last action for ever, as in the paper (Sec. IV-A4); `brake`: to a stop, and on with the next setpoint; `return`: RTL |
 //! | of stations | armed, once one was heard | `hold`; `brake`: BRAKE; `return`: RTL |
 //!
 //! A station is heard by its HEARTBEAT (type GCS), and by setpoints and commands to this vehicle; other
@@ -91,7 +91,7 @@ impl Vehicle {
     pub(super) fn hear(&mut self, delivered: bool, outage: bool, now: Duration) {
         if delivered {
             self.conduct.waiting = false;
-            self.conduct.destination = None;
+            self.conduct.guided = None;
         }
         let failsafe = self.settings.failsafe.clone();
         let interval_s = self.clock.interval_s();
@@ -99,7 +99,9 @@ impl Vehicle {
 
         if self.conduct.mode == Mode::Guided && self.conduct.armed {
             let limit = intervals(failsafe.setpoint_timeout_s, interval_s);
-            let change = self.loss_of_link.setpoints.interval(delivered, limit, failsafe.setpoint_action);
+            // On its way to a place, or there, it waits for no setpoint.
+            let heard = delivered || self.conduct.guided.is_some_and(|target| target.is_place());
+            let change = self.loss_of_link.setpoints.interval(heard, limit, failsafe.setpoint_action);
             self.tell(change, "setpoint", failsafe.setpoint_timeout_s, now);
             if change == TimeoutChange::Begins(Action::Return) {
                 self.enter(Mode::Return, now);

@@ -18,13 +18,31 @@ pub(super) fn brake(state: State, dynamics: &Dynamics) -> Vector2<f64> {
 
 /// The acceleration of a straight approach to `target` at `speed` at most, stopping there.
 pub(super) fn approach(state: State, target: Vector2<f64>, speed: f64, dynamics: &Dynamics) -> Vector2<f64> {
+    follow(state, approach_velocity(state, target, speed, dynamics), dynamics)
+}
+
+/// The velocity of that approach, units an interval.
+pub(super) fn approach_velocity(
+    state: State,
+    target: Vector2<f64>,
+    speed: f64,
+    dynamics: &Dynamics,
+) -> Vector2<f64> {
     let way = target - state.r;
     let distance = way.norm();
     if distance == 0.0 {
-        return brake(state, dynamics);
+        return Vector2::zeros();
     }
     let allowed = speed.min(dynamics.v_max).min(stoppable(distance, MARGIN * dynamics.a_max));
-    follow(state, way * (allowed / distance), dynamics)
+    way * (allowed / distance)
+}
+
+/// Where the UAV comes to rest if it brakes from now on, with the share of its power that an approach counts on.
+pub(super) fn rest(state: State, dynamics: &Dynamics) -> Vector2<f64> {
+    // Speeds v, v - b, v - 2b, ... sum to v (v + b) / 2b.
+    let speed = state.v.norm();
+    let loss = MARGIN * dynamics.a_max;
+    state.r + state.v * ((speed + loss) / (2.0 * loss))
 }
 
 /// The largest speed from which the UAV stops within `distance`, losing `loss` of it an interval:
@@ -37,7 +55,7 @@ fn stoppable(distance: f64, loss: f64) -> f64 {
 }
 
 /// The acceleration that brings the speed to `wish`, or as near as an interval allows.
-fn follow(state: State, wish: Vector2<f64>, dynamics: &Dynamics) -> Vector2<f64> {
+pub(super) fn follow(state: State, wish: Vector2<f64>, dynamics: &Dynamics) -> Vector2<f64> {
     ((wish - state.v) / dynamics.a_max).map(|x| x.clamp(-1.0, 1.0))
 }
 

@@ -1,11 +1,16 @@
-//! Up and down of a vehicle that the paper flies at one height: landing, take-off, and the fall of one
-//! whose motors were cut. Knows height and speed of climb, not why it goes up or down.
+//! Up and down of a vehicle that the paper flies at one height: landing, take-off, heights of missions and
+//! setpoints, and the fall of one whose motors were cut. Knows height and speed of climb, not why it goes up or
+//! down.
 //!
 //! Heights count from the ground at home, in metres, up. No formula of the paper reads them, so the
 //! plane's physics goes on beside them.
 
 /// Standard gravity, m/s².
 const GRAVITY: f64 = 9.806_65;
+/// The lowest height to which it flies but to land, m.
+const FLOOR_M: f64 = 0.5;
+/// The greatest height, m.
+const CEILING_M: f64 = 100_000.0;
 
 /// Where the vehicle is on its vertical.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,6 +30,29 @@ pub(super) enum Lift {
     Towards(f64, f64),
     /// Nothing: they are off.
     None,
+}
+
+impl Lift {
+    /// To a height, as near as it may be flown, at `speed` m/s.
+    pub fn to(height_m: f64, speed: f64) -> Self {
+        Self::Towards(nearest(height_m), speed)
+    }
+
+    /// Up, or down if it is below 0, at `climb_mps`, within `most`.
+    pub fn at(climb_mps: f64, most: f64) -> Self {
+        let speed = climb_mps.abs().min(most);
+        if speed == 0.0 { Self::Hover } else { Self::to(climb_mps * f64::INFINITY, speed) }
+    }
+}
+
+/// The height nearest to this one at which it flies, m.
+pub(super) fn nearest(height_m: f64) -> f64 {
+    height_m.clamp(FLOOR_M, CEILING_M)
+}
+
+/// Whether a height above home, m, is one that can be flown.
+pub(super) fn is_flyable(height_m: f64) -> bool {
+    (-1e-3..=CEILING_M).contains(&height_m)
 }
 
 impl Height {

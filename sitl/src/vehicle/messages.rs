@@ -3,13 +3,13 @@
 //!
 //! | message | id | from | goes | in group of REQUEST_DATA_STREAM |
 //! |---|---|---|---|---|
-//! | HEARTBEAT | 0 | 1, 68 | 1 Hz, always | |
+//! | HEARTBEAT | 0 | 1, 68, 100 | 1 Hz, always | |
 //! | LOCAL_POSITION_NED | 32 | 1 | in every percept | |
 //! | POSITION_TARGET_LOCAL_NED | 85 | 1 | in every percept | |
 //! | DEBUG_VECT `OBSTACLE` | 250 | 1 | in every percept | |
 //! | NAMED_VALUE_FLOAT `SNR_DB`, `TXP`, `OUTAGE` | 251 | 68 | in every percept from tick 1 on | |
 //! | RADIO_STATUS | 109 | 68 | in every percept from tick 1 on | |
-//! | ATTITUDE: the tilt that gives the acceleration flown, yaw 0 | 30 | 1 | 4 Hz | EXTRA1 |
+//! | ATTITUDE: the tilt that gives the acceleration flown, and the heading | 30 | 1 | 4 Hz | EXTRA1 |
 //! | GLOBAL_POSITION_INT: the local position on Earth | 33 | 1 | 4 Hz | POSITION |
 //! | ATTITUDE_QUATERNION: the same | 31 | 1 | 4 Hz | EXTRA1 |
 //! | VFR_HUD | 74 | 1 | 4 Hz | EXTRA2 |
@@ -25,6 +25,8 @@
 //! | GPS_GLOBAL_ORIGIN: the local frame's | 49 | 1 | on request | |
 //! | AUTOPILOT_VERSION | 148 | 1 | on request | |
 //! | PROTOCOL_VERSION | 300 | 1 | on request | |
+//! | FENCE_STATUS | 162 | 1 | on request | |
+//! | CAMERA_INFORMATION, CAMERA_SETTINGS, STORAGE_INFORMATION, CAMERA_CAPTURE_STATUS | 259 to 262 | 100 | on request | |
 //!
 //! The rates are those of the real-time pace; in lockstep only heartbeats and percepts go by
 //! themselves. Time stamps are those of the tick whose state is told; SYSTEM_TIME's 1970 part is the
@@ -35,16 +37,18 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
-use super::geodesy::{self, HOME};
+use super::geodesy::{self, Site};
+use super::heading::Heading;
 use super::height::Height;
 use super::modes::Conduct;
+use crate::camera::SIDE;
 use crate::link::dialect::{
-    self, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability, MavState,
-    MavSysStatusSensor, MavSysStatusSensorExtended, MavType, MavVtolState,
+    self, CameraCapFlags, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability,
+    MavState, MavSysStatusSensor, MavSysStatusSensorExtended, MavType, MavVtolState, StorageStatus,
 };
 use crate::link::encoder::Encoder;
 use crate::link::wire::{self, Clock};
-use crate::link::{AUTOPILOT, MessageData, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, MessageData, RADIO};
 use crate::radio::Fates;
 use crate::radio::message::Telemetry;
 use crate::units::Scale;
@@ -62,6 +66,10 @@ pub(super) struct VehicleState {
     pub accel: [f32; 2],
     pub conduct: Conduct,
     pub height: Height,
+    pub heading: Heading,
+    pub site: Site,
+    pub shots: dialect::CAMERA_CAPTURE_STATUS_DATA,
+    pub fence: dialect::FENCE_STATUS_DATA,
     pub system_status: MavState,
     pub mission: dialect::MISSION_CURRENT_DATA,
     /// Latitude and longitude of the start, 1e-7 degrees.
@@ -148,6 +156,13 @@ macro_rules! row {
     };
 }
 
+/// The same of the camera, on request.
+macro_rules! camera_row {
+    ($message:ident, $make:expr) => {
+        Row { component: CAMERA, ..row!($message, Goes::OnRequest, $make) }
+    };
+}
+
 /// A message of the percept: the same bytes as in the report.
 const fn percept(id: u32, component: u8, push: fn(&VehicleState, &mut Encoder, &mut Vec<u8>)) -> Row {
     Row { id, component, goes: Goes::Percept, push }
@@ -198,12 +213,23 @@ pub(super) static ROWS: &[Row] = &[
     row!(GPS_GLOBAL_ORIGIN_DATA, Goes::OnRequest, origin),
     row!(AUTOPILOT_VERSION_DATA, Goes::OnRequest, version),
     row!(PROTOCOL_VERSION_DATA, Goes::OnRequest, protocol),
+    row!(FENCE_STATUS_DATA, Goes::OnRequest, |state: &VehicleState| state.fence.clone()),
+    Row { component: CAMERA, ..row!(HEARTBEAT_DATA, Goes::Heartbeat, |_: &VehicleState| camera_heartbeat()) },
+    camera_row!(CAMERA_INFORMATION_DATA, camera_information),
+    camera_row!(CAMERA_SETTINGS_DATA, camera_settings),
+    camera_row!(STORAGE_INFORMATION_DATA, camera_storage),
+    camera_row!(CAMERA_CAPTURE_STATUS_DATA, |state: &VehicleState| state.shots.clone()),
 ];
 
 impl VehicleState {
     /// `time_boot_ms` of the state.
     pub fn boot_ms(&self) -> u32 {
         self.clock.boot_ms(self.report.tick)
+    }
+
+    /// Roll and pitch, rad, of the acceleration that is flown.
+    fn tilt(&self) -> [f32; 2] {
+        geodesy::tilt(self.heading.forward_right(self.accel.map(f64::from)).map(|a| a as f32))
     }
 }
 
@@ -231,20 +257,47 @@ pub(super) fn radio_heartbeat() -> dialect::HEARTBEAT_DATA {
     }
 }
 
-/// Level but for the tilt; between two ticks the acceleration is constant, so nothing turns.
-fn attitude(state: &VehicleState) -> dialect::ATTITUDE_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel);
-    dialect::ATTITUDE_DATA { time_boot_ms: state.boot_ms(), roll, pitch, ..Default::default() }
+/// HEARTBEAT of component 100.
+pub(super) fn camera_heartbeat() -> dialect::HEARTBEAT_DATA {
+    dialect::HEARTBEAT_DATA { mavtype: MavType::MAV_TYPE_CAMERA, ..radio_heartbeat() }
 }
 
+/// Level but for the tilt; between two ticks the acceleration is constant, so nothing but the heading turns.
+fn attitude(state: &VehicleState) -> dialect::ATTITUDE_DATA {
+    let [roll, pitch] = state.tilt();
+    dialect::ATTITUDE_DATA {
+        time_boot_ms: state.boot_ms(),
+        roll,
+        pitch,
+        yaw: wrapped(state.heading.yaw) as f32,
+        yawspeed: state.heading.rate() as f32,
+        ..Default::default()
+    }
+}
+
+/// An angle of [0, 2π) in (-π, π].
+fn wrapped(angle: f64) -> f64 {
+    if angle > std::f64::consts::PI { angle - std::f64::consts::TAU } else { angle }
+}
+
+/// Yaw, then pitch, then roll.
 fn quaternion(state: &VehicleState) -> dialect::ATTITUDE_QUATERNION_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel).map(|angle| angle / 2.0);
+    let [roll, pitch] = state.tilt().map(|angle| angle / 2.0);
+    let yaw = (wrapped(state.heading.yaw) / 2.0) as f32;
+    let level = [
+        roll.cos() * pitch.cos(),
+        roll.sin() * pitch.cos(),
+        roll.cos() * pitch.sin(),
+        -roll.sin() * pitch.sin(),
+    ];
+    let (sin, cos) = yaw.sin_cos();
     dialect::ATTITUDE_QUATERNION_DATA {
         time_boot_ms: state.boot_ms(),
-        q1: roll.cos() * pitch.cos(),
-        q2: roll.sin() * pitch.cos(),
-        q3: roll.cos() * pitch.sin(),
-        q4: -roll.sin() * pitch.sin(),
+        q1: cos * level[0] - sin * level[3],
+        q2: cos * level[1] - sin * level[2],
+        q3: cos * level[2] + sin * level[1],
+        q4: cos * level[3] + sin * level[0],
+        yawspeed: state.heading.rate() as f32,
         ..Default::default()
     }
 }
@@ -253,20 +306,20 @@ fn quaternion(state: &VehicleState) -> dialect::ATTITUDE_QUATERNION_DATA {
 fn hud(state: &VehicleState) -> dialect::VFR_HUD_DATA {
     let [north, east] = state.report.velocity;
     let speed = north.hypot(east);
-    let [roll, pitch] = geodesy::tilt(state.accel);
+    let [roll, pitch] = state.tilt();
     let throttle = if state.conduct.armed { HOVER_THROTTLE / (roll.cos() * pitch.cos()) } else { 0.0 };
     dialect::VFR_HUD_DATA {
         airspeed: speed,
         groundspeed: speed,
-        alt: (HOME[2] + state.height.altitude_m) as f32,
+        alt: (state.site.altitude_m + state.height.altitude_m) as f32,
         climb: state.height.climb_mps as f32,
-        heading: 0,
+        heading: state.heading.degrees() as i16,
         throttle: throttle.min(100.0) as u16,
     }
 }
 
 fn navigation(state: &VehicleState) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
-    let [roll, pitch] = geodesy::tilt(state.accel);
+    let [roll, pitch] = state.tilt();
     let target = state.target.map_or(state.report.position, |target| state.scale.ned_from_paper(target));
     let [north, east] = [0, 1].map(|axis| target[axis] - state.report.position[axis]);
     let bearing = east.atan2(north).to_degrees().round() as i16;
@@ -281,14 +334,14 @@ fn navigation(state: &VehicleState) -> dialect::NAV_CONTROLLER_OUTPUT_DATA {
 }
 
 fn gps(state: &VehicleState) -> dialect::GPS_RAW_INT_DATA {
-    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [lat, lon] = state.site.latitude_longitude(state.report.position);
     let [north, east] = state.report.velocity;
     let course = east.atan2(north).to_degrees().rem_euclid(360.0);
     dialect::GPS_RAW_INT_DATA {
         time_usec: u64::from(state.boot_ms()) * 1000,
         lat,
         lon,
-        alt: millimetres(HOME[2] + state.height.altitude_m),
+        alt: millimetres(state.site.altitude_m + state.height.altitude_m),
         eph: 100,
         epv: 100,
         vel: (north.hypot(east) * 100.0) as u16,
@@ -300,18 +353,18 @@ fn gps(state: &VehicleState) -> dialect::GPS_RAW_INT_DATA {
 }
 
 fn global_position(state: &VehicleState) -> dialect::GLOBAL_POSITION_INT_DATA {
-    let [lat, lon] = geodesy::latitude_longitude(state.report.position);
+    let [lat, lon] = state.site.latitude_longitude(state.report.position);
     let [vx, vy] = state.report.velocity.map(|speed| (speed * 100.0).round() as i16);
     dialect::GLOBAL_POSITION_INT_DATA {
         time_boot_ms: state.boot_ms(),
         lat,
         lon,
-        alt: millimetres(HOME[2] + state.height.altitude_m),
+        alt: millimetres(state.site.altitude_m + state.height.altitude_m),
         relative_alt: millimetres(state.height.altitude_m),
         vx,
         vy,
         vz: (-100.0 * state.height.climb_mps).round() as i16,
-        hdg: 0,
+        hdg: (state.heading.degrees() * 100.0) as u16,
     }
 }
 
@@ -360,7 +413,7 @@ fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
     dialect::HOME_POSITION_DATA {
         latitude,
         longitude,
-        altitude: millimetres(HOME[2]),
+        altitude: millimetres(state.site.altitude_m),
         x,
         y,
         q: [1.0, 0.0, 0.0, 0.0],
@@ -370,9 +423,14 @@ fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
 }
 
 fn origin(state: &VehicleState) -> dialect::GPS_GLOBAL_ORIGIN_DATA {
-    let [latitude, longitude] = geodesy::latitude_longitude([0.0; 2]);
+    let [latitude, longitude] = state.site.latitude_longitude([0.0; 2]);
     let time_usec = u64::from(state.boot_ms()) * 1000;
-    dialect::GPS_GLOBAL_ORIGIN_DATA { latitude, longitude, altitude: millimetres(HOME[2]), time_usec }
+    dialect::GPS_GLOBAL_ORIGIN_DATA {
+        latitude,
+        longitude,
+        altitude: millimetres(state.site.altitude_m),
+        time_usec,
+    }
 }
 
 fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {
@@ -382,7 +440,7 @@ fn system_time(state: &VehicleState) -> dialect::SYSTEM_TIME_DATA {
 
 fn extended_state(state: &VehicleState) -> dialect::EXTENDED_SYS_STATE_DATA {
     let landed_state = match state.conduct {
-        Conduct { climbing: true, .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
+        Conduct { climbing: Some(_), .. } => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
         _ if state.height.on_ground() => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
         _ if state.height.climb_mps < 0.0 => MavLandedState::MAV_LANDED_STATE_LANDING,
         _ => MavLandedState::MAV_LANDED_STATE_IN_AIR,
@@ -390,7 +448,7 @@ fn extended_state(state: &VehicleState) -> dialect::EXTENDED_SYS_STATE_DATA {
     dialect::EXTENDED_SYS_STATE_DATA { vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED, landed_state }
 }
 
-/// What the vehicle can do, and nothing else: no file transfer, no fence.
+/// What the vehicle can do, and nothing else: no file transfer.
 pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
     dialect::AUTOPILOT_VERSION_DATA {
         capabilities: MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -398,6 +456,9 @@ pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+            | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_MAVLINK2
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
         uid: u64::from(state.system),
@@ -408,4 +469,45 @@ pub(super) fn version(state: &VehicleState) -> dialect::AUTOPILOT_VERSION_DATA {
 /// MAVLink 2 is spoken, and nothing older.
 fn protocol(_: &VehicleState) -> dialect::PROTOCOL_VERSION_DATA {
     dialect::PROTOCOL_VERSION_DATA { version: 200, min_version: 200, max_version: 200, ..Default::default() }
+}
+
+/// CAMERA_INFORMATION: it takes pictures, and has no lens whose length there would be.
+fn camera_information(state: &VehicleState) -> dialect::CAMERA_INFORMATION_DATA {
+    let name = |text: &str| {
+        let mut bytes = [0; 32];
+        bytes.iter_mut().zip(text.bytes()).for_each(|(to, from)| *to = from);
+        bytes
+    };
+    dialect::CAMERA_INFORMATION_DATA {
+        time_boot_ms: state.boot_ms(),
+        firmware_version: 1,
+        focal_length: f32::NAN,
+        sensor_size_h: f32::NAN,
+        sensor_size_v: f32::NAN,
+        flags: CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
+        resolution_h: SIDE as u16,
+        resolution_v: SIDE as u16,
+        vendor_name: name("CRPL"),
+        model_name: name("field from above"),
+        ..Default::default()
+    }
+}
+
+/// CAMERA_SETTINGS: there is one mode, for images.
+fn camera_settings(state: &VehicleState) -> dialect::CAMERA_SETTINGS_DATA {
+    dialect::CAMERA_SETTINGS_DATA {
+        time_boot_ms: state.boot_ms(),
+        zoomLevel: f32::NAN,
+        focusLevel: f32::NAN,
+        ..Default::default()
+    }
+}
+
+/// STORAGE_INFORMATION: there is none.
+fn camera_storage(state: &VehicleState) -> dialect::STORAGE_INFORMATION_DATA {
+    dialect::STORAGE_INFORMATION_DATA {
+        time_boot_ms: state.boot_ms(),
+        status: StorageStatus::STORAGE_STATUS_NOT_SUPPORTED,
+        ..Default::default()
+    }
 }

@@ -43,7 +43,7 @@ impl Meter {
     /// A frame has come: how many are missing before it, or that it was missing itself.
     pub fn numbered(&mut self, heard: SequenceTracker) {
         self.lost += heard.missing;
-        self.lost -= u64::from(heard.late);
+        self.lost = self.lost.saturating_sub(heard.late.into());
     }
 
     /// Closes the window if it is full.

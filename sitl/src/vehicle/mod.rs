@@ -2,15 +2,19 @@
 //!
 //! A state machine around [`Sim`]: datagrams go in, datagrams come out, the caller says when a
 //! control interval passes and what time it is. Knows no socket and no clock. It begins in GUIDED mode,
-//! armed and in the air, with ArduCopter's mode numbers.
+//! armed and in the air or disarmed on the ground, with ArduCopter's mode numbers.
 //!
 //! | module | what it is |
 //! |---|---|
 //! | `commands` | what is answered: setpoints, commands, image requests |
-//! | `battery`, `geodesy`, `height` | energy spent; where on Earth, how tilted; up and down |
+//! | `battery`, `geodesy`, `heading`, `height` | energy spent; where on Earth, how tilted; where it looks; up and down |
+//! | `boot` | how it begins, and begins anew |
+//! | `camera` | the camera protocol: pictures on command |
 //! | `failsafe` | silence, counted in control intervals, and what follows it |
+//! | `fence` | areas that it must not leave or enter |
 //! | `files` | that there are none |
 //! | `guidance` | braking, and going to a point |
+//! | `guided` | places, velocities and heights that GUIDED follows |
 //! | `messages` | every message that can be asked for, one row each |
 //! | `meter` | traffic, for LINK_NODE_STATUS |
 //! | `missions`, `plan` | the mission protocol; a mission as it is flown |
@@ -25,11 +29,16 @@
 #![expect(deprecated, reason = "ground stations still use what the standard has superseded")]
 
 mod battery;
+mod boot;
+mod camera;
 mod commands;
 mod failsafe;
+mod fence;
 mod files;
 pub mod geodesy;
 mod guidance;
+mod guided;
+mod heading;
 mod height;
 mod messages;
 mod meter;
@@ -42,6 +51,7 @@ mod streams;
 #[cfg(test)]
 mod tests;
 
+pub use boot::Start;
 pub use params::ParamError;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -54,25 +64,32 @@ use crate::link::messages::View;
 use crate::link::messages::service::SetupSigning;
 use crate::link::packet::Packet;
 use crate::link::sequence::{Sequence, SequenceTracker};
-use crate::link::signing::{self, Key, Origin, Rejection, Signing};
+use crate::link::signing::{self, Key, Origin, Policy, Rejection, Signing};
 use crate::link::splitter::Counts;
 use crate::link::wire::{Clock, Refusal};
-use crate::link::{AUTOPILOT, PeerId, RADIO};
-use crate::scenario::Scenario;
+use crate::link::{AUTOPILOT, CAMERA, PeerId, RADIO};
+use crate::scenario::{Action, Scenario};
 use crate::sim::Sim;
 use crate::units::Tick;
 use crate::world::contact::Contact;
 use battery::Battery;
+use camera::Shots;
 use failsafe::LossOfLink;
+use fence::Fence;
+use geodesy::Site;
+use guided::WaitingTarget;
+use heading::Heading;
 use height::Height;
 use meter::Meter;
-use missions::MissionUpload;
+use missions::{FinishedUpload, MissionUpload};
 use modes::Conduct;
-use plan::StoredMission;
+use plan::{StoredItem, StoredMission};
 use rates::Rates;
 
-/// Peers that are served at a time; the one silent for longest makes room for a new one.
-const MAX_PEERS: usize = 16;
+/// Peers that are served at a time. Of those that are silent, the one silent for longest makes room for a new one.
+pub const MAX_PEERS: usize = 64;
+/// How long a peer is silent before it makes room: stations send heartbeats each second.
+const SILENT: Duration = Duration::from_secs(3);
 /// Systems and components behind one peer whose sequence numbers are followed.
 const MAX_SENDERS: usize = 32;
 /// Least time between two texts of one kind.
@@ -89,11 +106,22 @@ pub struct Vehicle {
     settings: Scenario,
     conduct: Conduct,
     height: Height,
+    heading: Heading,
+    /// How it begins, and begins anew.
+    start: Start,
+    site: Site,
+    /// A setpoint that waits for the radio's next interval.
+    waiting_target: Option<WaitingTarget>,
+    /// The newest setpoint of that kind.
+    newest_target: Option<Tick>,
     loss_of_link: LossOfLink,
     plan: StoredMission,
+    fence: Fence,
+    fence_action: Action,
+    rally: Vec<StoredItem>,
+    shots: Shots,
     upload: Option<MissionUpload>,
-    /// Whose upload made the plan, and its last item.
-    uploaded: Option<(PeerId, (u8, u8), u16)>,
+    uploaded: Option<FinishedUpload>,
     battery: Battery,
     peers: BTreeMap<PeerId, Peer>,
     outbox: VecDeque<(PeerId, Vec<u8>)>,
@@ -203,8 +231,11 @@ struct Peer {
     decoder: Decoder,
     autopilot: Encoder,
     radio: Encoder,
+    camera: Encoder,
     /// Frames: with each so many control intervals.
     images: Option<u64>,
+    /// By which message it was asked for the mission item that it sent: MISSION_REQUEST_INT or the older one.
+    asked_by_int: Option<bool>,
     rates: Rates,
     /// Named by configuration: never makes room for others.
     fixed: bool,
@@ -219,7 +250,9 @@ impl Peer {
             decoder: Decoder::default(),
             autopilot: Encoder::new(system, AUTOPILOT),
             radio: Encoder::new(system, RADIO),
+            camera: Encoder::new(system, CAMERA),
             images: None,
+            asked_by_int: None,
             rates: Rates::default(),
             fixed: false,
             heard: now,
@@ -243,9 +276,13 @@ impl Peer {
         heard
     }
 
-    /// The component that speaks to this peer: the radio, else the autopilot.
+    /// The component that speaks to this peer: radio or camera, else the autopilot.
     fn encoder(&mut self, component: u8) -> &mut Encoder {
-        if component == RADIO { &mut self.radio } else { &mut self.autopilot }
+        match component {
+            RADIO => &mut self.radio,
+            CAMERA => &mut self.camera,
+            _ => &mut self.autopilot,
+        }
     }
 }
 
@@ -258,8 +295,17 @@ impl Vehicle {
             settings: sim.scenario().clone(),
             conduct: Conduct::flying(),
             height: Height::hovering(sim.scenario().scale.altitude_m),
+            heading: Heading::at(0.0),
+            start: Start::default(),
+            site: Site::default(),
+            waiting_target: None,
+            newest_target: None,
             loss_of_link: LossOfLink::default(),
             plan: StoredMission::default(),
+            fence: Fence::default(),
+            fence_action: Action::Brake,
+            rally: Vec::new(),
+            shots: Shots::default(),
             upload: None,
             uploaded: None,
             sim,
@@ -269,7 +315,7 @@ impl Vehicle {
             peers: BTreeMap::new(),
             outbox: VecDeque::new(),
             signed: VecDeque::new(),
-            signing: Signing::default(),
+            signing: Signing::new(None, Policy::Required),
             meter: Meter::default(),
             scratch: Vec::new(),
             now: Duration::ZERO,
@@ -364,10 +410,14 @@ impl Vehicle {
             self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
             return;
         }
+        if !self.make_room(now) {
+            self.tally.packets = self.tally.packets.plus(peer.decoder.counts());
+            let text = format!("peer refused: {MAX_PEERS} are served");
+            return self.say("peer refused", MavSeverity::MAV_SEVERITY_WARNING, &text, now);
+        }
         for (packet, _) in &packets {
             self.meter.numbered(peer.number(packet));
         }
-        self.make_room();
         self.introduce(from, peer, now);
         self.say("link up", MavSeverity::MAV_SEVERITY_INFO, &format!("link up: {from}"), now);
         for (packet, origin) in &packets {
@@ -459,7 +509,13 @@ impl Vehicle {
         self.sim.transmit();
         let link = self.sim.telemetry().link;
         let after = link.is_some_and(|link| link.outage);
-        self.hear(self.arrivals() > arrivals, after, now);
+        let target = self.target_through(after);
+        self.hear(self.arrivals() > arrivals || target.is_some(), after, now);
+        if let Some(WaitingTarget { target, turn, .. }) = target.filter(|_| self.takes_setpoints()) {
+            self.follow_target(target);
+            self.turn(turn);
+        }
+        self.keep_fence(now);
         let control = self.control(now);
         self.sim.set_control(control);
         self.sim.step();
@@ -491,6 +547,7 @@ impl Vehicle {
             self.say("flight over", MavSeverity::MAV_SEVERITY_NOTICE, &text, now);
         }
         self.send_percept();
+        self.take_shots(now);
     }
 
     /// Says once for each contact what was touched; the motors of a vehicle that falls stop.
@@ -502,7 +559,7 @@ impl Vehicle {
             let text = format!("collision with obstacle {} before tick {tick}", obstacle + 1);
             self.tell_text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
         }
-        if contact.edge && !before.edge {
+        if contact.edge && !before.edge && self.sim.scenario().dynamics.walls {
             self.tally.edge_contacts += 1;
             let text = format!("edge of the field before tick {tick}");
             self.tell_text(MavSeverity::MAV_SEVERITY_WARNING, &text);
@@ -536,14 +593,16 @@ impl Vehicle {
         }
     }
 
-    fn make_room(&mut self) {
+    /// Whether there is room for one more peer, if need be in place of one that says nothing.
+    fn make_room(&mut self, now: Duration) -> bool {
         if self.peers.len() < MAX_PEERS {
-            return;
+            return true;
         }
-        let quietest = self.peers.iter().filter(|(_, peer)| !peer.fixed).min_by_key(|(_, peer)| peer.heard);
-        if let Some(address) = quietest.map(|(&address, _)| address) {
-            self.forget(address);
-        }
+        let silent = |peer: &Peer| !peer.fixed && peer.heard + SILENT <= now;
+        let quietest = self.peers.iter().filter(|(_, peer)| silent(peer)).min_by_key(|(_, peer)| peer.heard);
+        let Some(address) = quietest.map(|(&address, _)| address) else { return false };
+        self.forget(address);
+        true
     }
 
     fn forget(&mut self, address: PeerId) {

@@ -4,11 +4,12 @@
 //! | parameter | unit | takes effect |
 //! |---|---|---|
 //! | `SYSID_THISMAV` | | read only |
-//! | `RATE_*` | Hz, 0 to 50 | at once: the default of every peer's stream, in real time |
+//! | `RATE_*` | Hz, 0 or 0.0005 to 50 | at once: the default of every peer's stream, in real time |
 //! | `FS_SETP_ACT`, `FS_STN_ACT` | 0 hold, 1 brake, 2 return | at once |
+//! | `FENCE_ACTION` | 0 hold: says so, 1 brake, 2 return | at once |
 //! | `FS_SETP_TIME`, `FS_STN_TIME` | s | at once |
 //! | `WP_SPEED`, `WP_RADIUS`, `CLIMB_SPEED` | m/s, m, m/s | at once |
-//! | `SIGN_REQUIRED` | 0 or 1 | at once |
+//! | `SIGN_REQUIRED` | 0 or 1: whether unsigned packets are refused once there is a key | at once |
 //! | `RADIO_RULE` | 0 ideal, 1 drop, 2 queue | at boot |
 //! | `RADIO_B_DT`, `RADIO_PKT_BITS` | bits an interval and bit/s/Hz; bits | at boot |
 //! | `CHAN_REF_GAIN`, `CHAN_PL_EXP`, `CHAN_NLOS`, `CHAN_NOISE`, `CHAN_SNR_MIN` | the paper's | at boot |
@@ -28,8 +29,8 @@
 //! | `STAT_*` | frames and bytes that came, by what became of them; setpoints | read only, and change by themselves |
 //! | `RADIO_TXP`, of component 68 | 1 or 4 | at once |
 //!
-//! "At boot" is the next start with `--params`: a flight's physics is fixed, and `--save-params` keeps
-//! what was set. A PARAM_SET is always answered to all peers with the value that now holds: the old one
+//! "At boot" is the next PREFLIGHT_REBOOT, or the next start with `--params`: a flight's physics is fixed, and
+//! `--save-params` keeps what was set. A PARAM_SET is always answered to all peers with the value that now holds: the old one
 //! if the new one is not finite, out of range, or the parameter read only. Unknown names and indices
 //! are answered by PARAM_ERROR, as ArduPilot and PX4 do. A request to component 0 is answered by both.
 
@@ -65,6 +66,7 @@ enum Holds {
     Rate(u32),
     TxPower,
     SignRequired,
+    FenceAction,
     /// A number of the tally.
     Count(fn(&Counts) -> u64),
     Setpoints,
@@ -162,6 +164,7 @@ static OF_AUTOPILOT: &[ParamSlot] = &[
         |s, v| set_action(&mut s.failsafe.station_action, v),
     ),
     real("FS_STN_TIME", |s| s.failsafe.station_timeout_s, |s, v| s.failsafe.station_timeout_s = v),
+    ParamSlot { name: "FENCE_ACTION", kind: INT, holds: Holds::FenceAction },
     real("WP_SPEED", |s| s.autopilot.speed_mps, |s, v| s.autopilot.speed_mps = v),
     real("WP_RADIUS", |s| s.autopilot.acceptance_m, |s, v| s.autopilot.acceptance_m = v),
     real("CLIMB_SPEED", |s| s.autopilot.climb_mps, |s, v| s.autopilot.climb_mps = v),
@@ -517,6 +520,7 @@ impl Vehicle {
             Holds::Rate(id) => self.default_hz(id),
             Holds::TxPower => self.sim.power().level(),
             Holds::SignRequired => f64::from(u8::from(self.signing.policy() == Policy::Required)),
+            Holds::FenceAction => number(self.fence_action),
             Holds::Count(get) => get(&self.tally().packets) as f64,
             Holds::Setpoints => self.tally.setpoints as f64,
             Holds::RefusedSetpoints => self.tally.refused.values().sum::<u64>() as f64,
@@ -547,12 +551,15 @@ impl Vehicle {
             return false;
         }
         match param.holds {
-            Holds::Rate(id) if (0.0..=50.0).contains(&value) => self.set_default_hz(id, value.into(), now),
+            Holds::Rate(id) if Self::takes_rate(value) => {
+                self.set_default_hz(id, value.into(), now);
+            }
             Holds::TxPower => {
                 if let Ok(power) = TxPower::from_level(value) {
                     self.sim.set_power(power);
                 }
             }
+            Holds::FenceAction if value >= 0.0 => set_action(&mut self.fence_action, value.into()),
             Holds::SignRequired if value == 0.0 => self.signing.set_policy(Policy::Optional),
             Holds::SignRequired if value == 1.0 => self.signing.set_policy(Policy::Required),
             _ => {
@@ -641,7 +648,7 @@ fn world_slots(obstacles: usize) -> impl Iterator<Item = &'static ParamSlot> {
 }
 
 /// Whether settings are a scenario, in which the vehicle by itself is no faster than it can be.
-fn is_flyable(settings: &Scenario) -> bool {
+pub(super) fn is_flyable(settings: &Scenario) -> bool {
     let top_mps = settings.dynamics.v_max * settings.scale.mps_per_speed();
     settings.check().is_ok() && settings.autopilot.speed_mps <= top_mps * (1.0 + 1e-6)
 }
@@ -677,7 +684,12 @@ impl ParamSlot {
     fn is_settable(&self) -> bool {
         matches!(
             self.holds,
-            Holds::Rate(_) | Holds::TxPower | Holds::SignRequired | Holds::Setting(..) | Holds::Obstacle(..)
+            Holds::Rate(_)
+                | Holds::TxPower
+                | Holds::SignRequired
+                | Holds::FenceAction
+                | Holds::Setting(..)
+                | Holds::Obstacle(..)
         )
     }
 }

@@ -3,74 +3,113 @@
 //!
 //! | item | flown as |
 //! |---|---|
-//! | NAV_WAYPOINT (16) | to the point; param1 seconds of hold, param2 metres of acceptance, 0 for the default |
+//! | NAV_WAYPOINT (16), NAV_SPLINE_WAYPOINT (82) | to the point; param1 seconds of hold, param2 metres of acceptance, 0 for the default |
 //! | NAV_LOITER_UNLIM (17) | to the point, and stays |
 //! | NAV_LOITER_TIME (19), NAV_DELAY (93) | to the point, or here; param1 seconds |
+//! | NAV_LOITER_TURNS (18), NAV_LOITER_TO_ALT (31), NAV_PAYLOAD_PLACE (94) | to the point and its height, and on: it does not circle and drops nothing |
+//! | NAV_CONTINUE_AND_CHANGE_ALT (30) | to the height |
 //! | NAV_RETURN_TO_LAUNCH (20) | RTL |
-//! | NAV_LAND (21) | to the point, or here; then LAND |
-//! | NAV_TAKEOFF (22) | up, if it is on the ground |
+//! | NAV_LAND (21), NAV_VTOL_LAND (85) | to the point, or here; then LAND |
+//! | NAV_TAKEOFF (22), NAV_VTOL_TAKEOFF (84) | up to its height, never down |
 //! | DO_JUMP (177) | to item param1, param2 times, -1 for ever |
-//! | DO_CHANGE_SPEED (178) | param2 m/s, from here on |
+//! | DO_CHANGE_SPEED (178) | param2 m/s, from here on; param1 as in the command |
+//! | CONDITION_YAW (115) | turns, and goes on at once |
+//! | every other DO and CONDITION command | kept, told on download, and passed: the vehicle has no camera to point and no servo |
 //!
-//! Points are latitude and longitude, or north and east in frame LOCAL_NED; 0, 0 is here. Heights are
-//! kept and not flown: the vehicle is planar. A mission avoids nothing, so a point inside the obstacle
-//! is refused while the obstacle stands; what the way between two points passes is the planner's.
+//! Points are latitude and longitude, or north and east in frame LOCAL_NED; 0, 0 is here, and a height of 0
+//! above home or the sea the present one, as with ArduCopter. A point outside the walls is flown to their edge,
+//! which the upload says. A mission avoids nothing, so a point inside the obstacle is refused while the obstacle
+//! stands; what the way between two points passes is the planner's.
+//!
+//! An interval passes one point at most, however near the next one is.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use nalgebra::Vector2;
 
+use super::geodesy::Site;
 use super::modes::Mode;
-use super::{Vehicle, geodesy};
-use crate::link::dialect::{self, MavCmd, MavFrame, MavMissionResult, MavMissionType, MissionState};
+use super::params::is_flyable;
+use super::{Vehicle, height};
+use crate::link::dialect::{self, MavMissionResult, MavMissionType, MissionState};
 use crate::link::messages::mission::{MissionItem, Place};
+use crate::link::wire::Above;
 use crate::scenario::Obstacle;
 use crate::world::dynamics::State;
 
-/// What can be flown, by its number.
-const COMMANDS: [(u16, MavCmd); 9] = [
-    (WAYPOINT, MavCmd::MAV_CMD_NAV_WAYPOINT),
-    (LOITER_UNLIM, MavCmd::MAV_CMD_NAV_LOITER_UNLIM),
-    (LOITER_TIME, MavCmd::MAV_CMD_NAV_LOITER_TIME),
-    (RETURN, MavCmd::MAV_CMD_NAV_RETURN_TO_LAUNCH),
-    (LAND, MavCmd::MAV_CMD_NAV_LAND),
-    (TAKEOFF, MavCmd::MAV_CMD_NAV_TAKEOFF),
-    (DELAY, MavCmd::MAV_CMD_NAV_DELAY),
-    (JUMP, MavCmd::MAV_CMD_DO_JUMP),
-    (SPEED, MavCmd::MAV_CMD_DO_CHANGE_SPEED),
-];
-const WAYPOINT: u16 = 16;
-const LOITER_UNLIM: u16 = 17;
-const LOITER_TIME: u16 = 19;
-const RETURN: u16 = 20;
-const LAND: u16 = 21;
-const TAKEOFF: u16 = 22;
-const DELAY: u16 = 93;
-const JUMP: u16 = 177;
-const SPEED: u16 = 178;
+/// What an item is to the vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Waypoint,
+    LoiterUnlimited,
+    /// At the point, or here, for some seconds.
+    Wait,
+    /// To the point and the height, and on.
+    Pass,
+    Height,
+    Return,
+    Land,
+    Takeoff,
+    Jump,
+    Speed,
+    Yaw,
+    /// Kept and passed.
+    Kept,
+}
 
-/// The frames that an item may have, by their number.
-const FRAMES: [(u8, MavFrame); 6] = [
-    (0, MavFrame::MAV_FRAME_GLOBAL),
-    (LOCAL_NED, MavFrame::MAV_FRAME_LOCAL_NED),
-    (MISSION_FRAME, MavFrame::MAV_FRAME_MISSION),
-    (3, MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT),
-    (5, MavFrame::MAV_FRAME_GLOBAL_INT),
-    (6, MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT),
-];
+impl Role {
+    /// The role of a MAV_CMD; `None` for what no mission holds.
+    fn of(command: u16) -> Option<Self> {
+        Some(match command {
+            WAYPOINT | 82 => Self::Waypoint,
+            17 => Self::LoiterUnlimited,
+            19 | 93 => Self::Wait,
+            18 | 31 | 94 => Self::Pass,
+            30 => Self::Height,
+            20 => Self::Return,
+            21 | 85 => Self::Land,
+            22 | 84 => Self::Takeoff,
+            177 => Self::Jump,
+            178 => Self::Speed,
+            115 => Self::Yaw,
+            // NAV_ROI and NAV_GUIDED_ENABLE are no ways either; the others are the standard's and ArduPilot's
+            // ranges of CONDITION and DO commands.
+            80 | 92 | 112..=114 | 159..=252 | 530..=534 | 2000..=2999 | 4501..=4502 | 42_000..=43_099 => {
+                Self::Kept
+            }
+            _ => return None,
+        })
+    }
+
+    fn has_place(self) -> bool {
+        matches!(self, Self::Waypoint | Self::LoiterUnlimited | Self::Wait | Self::Pass | Self::Land)
+    }
+
+    fn has_height(self) -> bool {
+        matches!(
+            self,
+            Self::Waypoint | Self::LoiterUnlimited | Self::Wait | Self::Pass | Self::Height | Self::Takeoff
+        )
+    }
+}
+
+const WAYPOINT: u16 = 16;
+const DELAY: u16 = 93;
 const LOCAL_NED: u8 = 1;
-const MISSION_FRAME: u8 = 2;
+
+/// How far below its height a takeoff is done, m.
+const TAKEOFF_SLACK_M: f64 = 1.0;
 
 /// Items that are looked at in one interval: jumps can go round in circles.
 const MAX_STEPS: usize = 64;
 
-/// An item as it was uploaded.
+/// An item as it was uploaded: of a mission, a fence or the rally points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct StoredItem {
-    command: u16,
+    pub command: u16,
     frame: u8,
-    params: [f32; 4],
+    pub params: [f32; 4],
     /// 1e-7 degrees, or 1e-4 m in LOCAL_NED.
     x: i32,
     y: i32,
@@ -85,6 +124,13 @@ pub(super) struct Fault {
     pub why: &'static str,
 }
 
+impl Fault {
+    /// A refusal with its reason.
+    pub fn of(result: MavMissionResult, why: &'static str) -> Self {
+        Self { result, why }
+    }
+}
+
 impl StoredItem {
     /// The item of a message, at `place`.
     pub fn of(sent: &MissionItem, place: Place) -> Self {
@@ -97,87 +143,139 @@ impl StoredItem {
         Self { command, frame, params, x, y, z, autocontinue }
     }
 
-    /// StoredItem 0: where the vehicle returns to.
-    pub fn home([x, y]: [i32; 2]) -> Self {
-        let z = geodesy::HOME[2] as f32;
+    /// Item 0 of a mission: where the vehicle returns to.
+    pub fn home([x, y]: [i32; 2], altitude_m: f64) -> Self {
+        let z = altitude_m as f32;
         Self { command: WAYPOINT, frame: 0, params: [0.0; 4], x, y, z, autocontinue: 1 }
     }
 
-    /// MISSION_ITEM_INT.
-    pub fn as_int(&self, seq: u16, current: u8, asker: (u8, u8)) -> dialect::MISSION_ITEM_INT_DATA {
-        let [param1, param2, param3, param4] = self.params;
-        dialect::MISSION_ITEM_INT_DATA {
-            param1,
-            param2,
-            param3,
-            param4,
-            x: self.x,
-            y: self.y,
+    /// The fields of MISSION_ITEM_INT; of MISSION_ITEM, whose place is in floats, if `as_int` is false.
+    pub fn told(&self, seq: u16, as_int: bool, to: (u8, u8), list: MavMissionType) -> MissionItem {
+        let float = |v: i32| ((f64::from(v) / per_unit(self.frame)) as f32).to_bits() as i32;
+        let place = [self.x, self.y].map(|v| if as_int { v } else { float(v) });
+        MissionItem {
+            params: self.params,
+            place,
             z: self.z,
             seq,
-            command: self.typed_command(),
-            target_system: asker.0,
-            target_component: asker.1,
-            frame: self.typed_frame(),
-            current,
+            command: self.command,
+            target: to.into(),
+            frame: self.frame,
+            current: 0,
             autocontinue: self.autocontinue,
-            mission_type: MavMissionType::MAV_MISSION_TYPE_MISSION,
+            mission_type: list as u8,
         }
     }
 
-    /// MISSION_ITEM.
-    pub fn as_float(&self, seq: u16, current: u8, asker: (u8, u8)) -> dialect::MISSION_ITEM_DATA {
-        let int = self.as_int(seq, current, asker);
-        let [x, y] = [int.x, int.y].map(|v| (f64::from(v) / per_unit(self.frame)) as f32);
-        dialect::MISSION_ITEM_DATA {
-            param1: int.param1,
-            param2: int.param2,
-            param3: int.param3,
-            param4: int.param4,
-            x,
-            y,
-            z: int.z,
-            seq: int.seq,
-            command: int.command,
-            target_system: int.target_system,
-            target_component: int.target_component,
-            frame: int.frame,
-            current: int.current,
-            autocontinue: int.autocontinue,
-            mission_type: int.mission_type,
+    fn role(&self) -> Role {
+        Role::of(self.command).unwrap_or(Role::Kept)
+    }
+
+    /// Whether it is kept, told, and not carried out.
+    pub fn is_kept_only(&self) -> bool {
+        self.role() == Role::Kept
+    }
+
+    /// North and east of the origin, m; `None` is here.
+    pub fn place(&self, site: &Site) -> Option<[f32; 2]> {
+        if !self.role().has_place() || self.is_here() { None } else { Some(self.north_east(site)) }
+    }
+
+    /// Whether it has no place of its own: both coordinates are 0 on Earth, or the greatest integer.
+    fn is_here(&self) -> bool {
+        let none = if self.frame == LOCAL_NED { i32::MAX } else { 0 };
+        self.command == DELAY || [(none, none), (i32::MAX, i32::MAX)].contains(&(self.x, self.y))
+    }
+
+    /// The same of an item that has a place whatever its numbers are.
+    pub fn north_east(&self, site: &Site) -> [f32; 2] {
+        let coordinates = self.coordinates();
+        if self.frame == LOCAL_NED { coordinates.map(|v| v as f32) } else { site.north_east(coordinates) }
+    }
+
+    /// Degrees, or metres in LOCAL_NED.
+    fn coordinates(&self) -> [f64; 2] {
+        [self.x, self.y].map(|v| f64::from(v) / per_unit(self.frame))
+    }
+
+    /// Whether its frame is one in which points are told here.
+    pub fn frame_has_places(&self) -> bool {
+        self.frame == LOCAL_NED || Above::of_frame(self.frame).is_some()
+    }
+
+    /// What keeps its coordinates from being a place.
+    pub fn place_fault(&self) -> Result<(), Fault> {
+        let [latitude, longitude] = self.coordinates();
+        if self.frame != LOCAL_NED && latitude.abs() > 90.0 {
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "no latitude"));
         }
+        if self.frame != LOCAL_NED && longitude.abs() > 180.0 {
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM6_Y, "no longitude"));
+        }
+        Ok(())
     }
 
-    // StoredItem 0 may be anything, and is told as home; all others have passed `Vehicle::fault`.
-    fn typed_command(&self) -> MavCmd {
-        COMMANDS.iter().find(|(number, _)| *number == self.command).map_or(COMMANDS[0].1, |(_, known)| *known)
-    }
-
-    fn typed_frame(&self) -> MavFrame {
-        FRAMES.iter().find(|(number, _)| *number == self.frame).map_or(FRAMES[0].1, |(_, known)| *known)
-    }
-
-    fn needs_place(&self) -> bool {
-        matches!(self.command, WAYPOINT | LOITER_UNLIM | LOITER_TIME | LAND)
-    }
-
-    /// North and east, m; `None` is here.
-    fn place(&self) -> Option<[f32; 2]> {
-        if !self.needs_place() || (self.x, self.y) == (0, 0) && self.frame != LOCAL_NED {
+    /// The height above home to which it is flown, m; `None` is the present one.
+    pub fn height_m(&self, site: &Site) -> Option<f64> {
+        let z = f64::from(self.z);
+        let is_present = z.is_nan() || z == 0.0 && self.frame != LOCAL_NED;
+        if !self.role().has_height() || self.command == DELAY || is_present {
             return None;
         }
-        let coordinates = [self.x, self.y].map(|v| f64::from(v) / per_unit(self.frame));
-        Some(if self.frame == LOCAL_NED {
-            coordinates.map(|v| v as f32)
-        } else {
-            geodesy::north_east(coordinates)
-        })
+        match Above::of_frame(self.frame) {
+            Some(Above::Sea) => Some(z - site.altitude_m),
+            Some(Above::Home) => Some(z),
+            None => (self.frame == LOCAL_NED).then_some(-z),
+        }
+    }
+
+    /// What keeps it from being flown, whatever the vehicle can do.
+    fn fault(&self) -> Result<(), Fault> {
+        let Some(role) = Role::of(self.command) else {
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_UNSUPPORTED, "its command is not flown"));
+        };
+        if role.has_place() && self.command != DELAY && !self.frame_has_places() {
+            let result = MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME;
+            return Err(Fault::of(result, "its frame is not flown"));
+        }
+        let [first, second, ..] = self.params;
+        let bad = |value: f32| value < 0.0 || value.is_infinite();
+        if matches!(role, Role::Waypoint | Role::Wait) && bad(first) {
+            let result = MavMissionResult::MAV_MISSION_INVALID_PARAM1;
+            return Err(Fault::of(result, "its time is below 0 or infinite"));
+        }
+        if role == Role::Waypoint && bad(second) {
+            let result = MavMissionResult::MAV_MISSION_INVALID_PARAM2;
+            return Err(Fault::of(result, "its radius is below 0 or infinite"));
+        }
+        if role.has_height() && self.z.is_infinite() {
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM7, "its height is infinite"));
+        }
+        if role.has_place() && !self.is_here() { self.place_fault() } else { Ok(()) }
     }
 }
 
 /// An integer coordinate's steps in a degree or a metre.
 fn per_unit(frame: u8) -> f64 {
     if frame == LOCAL_NED { 1e4 } else { 1e7 }
+}
+
+/// A number that changes with a list: FNV-1a over what its items say; 0 without any.
+pub(super) fn list_id(items: &[StoredItem]) -> u32 {
+    let mut hash = 0x811c_9dc5_u32;
+    let mut take = |bytes: &[u8]| {
+        for &byte in bytes {
+            hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        }
+    };
+    for item in items {
+        take(&item.command.to_le_bytes());
+        take(&[item.frame, item.autocontinue]);
+        item.params.iter().chain([&item.z]).for_each(|value| take(&value.to_le_bytes()));
+        take(&item.x.to_le_bytes());
+        take(&item.y.to_le_bytes());
+    }
+    if items.is_empty() { 0 } else { hash.max(1) }
 }
 
 /// A mission and how far it is flown.
@@ -190,6 +288,8 @@ pub(super) struct StoredMission {
     jumps: BTreeMap<u16, u32>,
     /// The point that was reached last: where it waits behind the last item.
     last: Option<Vector2<f64>>,
+    /// The height, m, of the last item that had one.
+    height_m: Option<f64>,
     begun: bool,
 }
 
@@ -201,10 +301,10 @@ impl StoredMission {
 
     /// Whether the items fit together: jumps need somewhere to go.
     pub fn check(items: &[StoredItem]) -> Result<(), Fault> {
-        let lost =
-            |item: &&StoredItem| item.command == JUMP && !(1.0..items.len() as f32).contains(&item.params[0]);
-        let why = "a jump leads out of it";
-        let fault = Fault { result: MavMissionResult::MAV_MISSION_INVALID_PARAM1, why };
+        let lost = |item: &&StoredItem| {
+            item.role() == Role::Jump && !(1.0..items.len() as f32).contains(&item.params[0])
+        };
+        let fault = Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM1, "a jump leads out of it");
         items.iter().skip(1).find(lost).map_or(Ok(()), |_| Err(fault))
     }
 
@@ -218,9 +318,24 @@ impl StoredMission {
         self.current
     }
 
-    /// The current item's point, north and east, m.
-    pub fn place(&self) -> Option<[f32; 2]> {
-        self.items.get(usize::from(self.current)).and_then(StoredItem::place)
+    /// The current item's point, north and east of the origin, m.
+    pub fn place(&self, site: &Site) -> Option<[f32; 2]> {
+        self.flown().and_then(|item| item.place(site))
+    }
+
+    /// The item that is flown, or would be: the first where home is current.
+    fn flown(&self) -> Option<&StoredItem> {
+        self.items.get(usize::from(self.current.max(1)))
+    }
+
+    /// The same mission, as if it had just come.
+    pub fn restart(&mut self) {
+        *self = Self::new(std::mem::take(&mut self.items));
+    }
+
+    /// AUTO begins anew: the height of former items counts no longer.
+    pub fn resume(&mut self) {
+        self.height_m = None;
     }
 
     /// Goes on with that item, if there is one.
@@ -238,22 +353,9 @@ impl StoredMission {
         self.begun = false;
     }
 
-    /// A number that changes with the mission: FNV-1a over what its items say; 0 without any.
+    /// A number that changes with the mission.
     pub fn id(&self) -> u32 {
-        let mut hash = 0x811c_9dc5_u32;
-        let mut take = |bytes: &[u8]| {
-            for &byte in bytes {
-                hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
-            }
-        };
-        for item in self.items.iter().skip(1) {
-            take(&item.command.to_le_bytes());
-            take(&[item.frame, item.autocontinue]);
-            item.params.iter().chain([&item.z]).for_each(|value| take(&value.to_le_bytes()));
-            take(&item.x.to_le_bytes());
-            take(&item.y.to_le_bytes());
-        }
-        if self.items.is_empty() { 0 } else { hash.max(1) }
+        if self.items.is_empty() { 0 } else { list_id(&self.items[1..]).max(1) }
     }
 
     /// Whether its last item is behind it.
@@ -286,47 +388,43 @@ impl StoredMission {
 impl Vehicle {
     /// What keeps an item from being flown.
     pub(super) fn fault(&self, item: &StoredItem) -> Result<(), Fault> {
-        let no = |result, why| Err(Fault { result, why });
-        if !COMMANDS.iter().any(|(number, _)| *number == item.command) {
-            return no(MavMissionResult::MAV_MISSION_UNSUPPORTED, "its command is not flown");
+        item.fault()?;
+        let [kind, speed, ..] = item.params;
+        if item.role() == Role::Speed && (speed.is_nan() || speed > 0.0 && !self.takes_speed(kind, speed)) {
+            let result = MavMissionResult::MAV_MISSION_INVALID_PARAM2;
+            return Err(Fault::of(result, "its speed is out of range"));
         }
-        if !FRAMES.iter().any(|(number, _)| *number == item.frame)
-            || item.frame == MISSION_FRAME && item.needs_place()
-        {
-            return no(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME, "its frame is not flown");
-        }
-        let [first, second, ..] = item.params;
-        match item.command {
-            WAYPOINT | LOITER_TIME | DELAY if first < 0.0 || first.is_infinite() => {
-                return no(MavMissionResult::MAV_MISSION_INVALID_PARAM1, "its time is below 0 or infinite");
-            }
-            WAYPOINT if second < 0.0 || second.is_infinite() => {
-                return no(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "its radius is below 0 or infinite");
-            }
-            SPEED if !(0.0..=self.top_speed_mps()).contains(&f64::from(second)) || second == 0.0 => {
-                return no(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "its speed is out of range");
-            }
-            _ => {}
-        }
-        let Some(place) = item.place() else { return Ok(()) };
-        let Some(place) = self.inside(place) else {
-            let inside = |ne: [f32; 2]| self.inside(ne).is_some();
-            let centre = 0.5 * self.sim.scenario().scale.metres_per_unit as f32;
-            return if inside([place[0], centre]) {
-                no(MavMissionResult::MAV_MISSION_INVALID_PARAM6_Y, "east or west of the square")
-            } else {
-                no(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "north or south of the square")
-            };
-        };
+        let Some(place) = item.place(&self.site) else { return Ok(()) };
         let (world, scenario) = (self.sim.world(), self.sim.scenario());
+        if !scenario.dynamics.walls && self.inside(place).is_none() {
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "too far away"));
+        }
+        let place = self.nearest(place);
         let is_inside = |(state, obstacle): (&State, &Obstacle)| {
             let reach = obstacle.radius + scenario.uav_radius;
             state.v == Vector2::zeros() && (place - state.r).norm() < reach
         };
         if world.obstacles.iter().zip(&scenario.obstacles).any(is_inside) {
-            return no(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "inside the obstacle");
+            return Err(Fault::of(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "inside the obstacle"));
         }
         Ok(())
+    }
+
+    /// How many items of a mission lie outside the walls.
+    pub(super) fn count_outside(&self, items: &[StoredItem]) -> usize {
+        let places = items.iter().skip(1).filter_map(|item| item.place(&self.site));
+        places.filter(|place| self.inside(*place).is_none()).count()
+    }
+
+    /// Whether it can fly by itself at so many m/s, of the kind that DO_CHANGE_SPEED names.
+    fn takes_speed(&self, kind: f32, mps: f32) -> bool {
+        let mut settings = self.settings.clone();
+        if kind >= 2.0 {
+            settings.autopilot.climb_mps = mps.into();
+        } else {
+            settings.autopilot.speed_mps = mps.into();
+        }
+        is_flyable(&settings)
     }
 
     /// The fastest that the vehicle flies, m/s.
@@ -342,64 +440,85 @@ impl Vehicle {
             self.plan.begun = true;
             self.tell_current(now);
         }
+        let mut passed = false;
         for _ in 0..MAX_STEPS {
+            // Flying home means: from the first item on.
+            self.plan.current = self.plan.current.max(1);
             let seq = self.plan.current;
-            let Some(&item) = self.plan.items.get(usize::from(seq)).filter(|_| seq > 0) else {
+            let Some(&item) = self.plan.items.get(usize::from(seq)) else {
                 return self.plan.last;
             };
-            match item.command {
-                JUMP => {
+            self.plan.height_m = item.height_m(&self.site).or(self.plan.height_m);
+            let place = item.place(&self.site).map(|place| self.nearest(place));
+            match item.role() {
+                Role::Jump => {
                     self.jump(seq, &item);
                     continue;
                 }
-                SPEED => self.settings.autopilot.speed_mps = item.params[1].into(),
-                RETURN => {
+                Role::Speed if item.params[1] > 0.0 || item.params[1] == -2.0 => {
+                    self.change_speed(item.params[0], item.params[1], now);
+                }
+                Role::Yaw => drop(self.condition_yaw(item.params, now)),
+                Role::Speed | Role::Kept => {}
+                Role::Return => {
                     self.reached(seq, now);
                     self.enter(Mode::Return, now);
-                    return Some(self.sim.scenario().start);
+                    return Some(self.return_point());
                 }
-                // Only on the ground is there something to do, and AUTO climbs by itself then.
-                TAKEOFF => self.reached(seq, now),
-                _ => {
-                    let place = item.place().and_then(|place| self.inside(place));
-                    if !self.done(&item, place, now) {
-                        return place;
-                    }
-                    if item.command == LAND {
-                        self.enter(Mode::Land, now);
-                        return None;
-                    }
+                _ if passed || !self.done(&item, place, now) => return place,
+                Role::Land => {
+                    self.enter(Mode::Land, now);
+                    return None;
                 }
+                _ => passed = true,
             }
             self.next_item(seq + 1, now);
         }
         None
     }
 
+    /// The height, m, at which AUTO flies; `None` is the present one.
+    pub(super) fn mission_height(&self) -> Option<f64> {
+        let item = self.plan.flown();
+        let height = item.and_then(|item| item.height_m(&self.site)).or(self.plan.height_m)?;
+        // A takeoff leads up alone.
+        let is_takeoff = item.is_some_and(|item| item.role() == Role::Takeoff);
+        Some(if is_takeoff { height.max(self.height.altitude_m) } else { height })
+    }
+
+    /// Whether it is at an item's height.
+    fn is_at_height(&self, item: &StoredItem) -> bool {
+        let Some(goal) = item.height_m(&self.site) else { return true };
+        let above = self.height.altitude_m - height::nearest(goal);
+        let slack = self.settings.autopilot.acceptance_m;
+        if item.role() == Role::Takeoff { above >= -TAKEOFF_SLACK_M } else { above.abs() <= slack }
+    }
+
     /// Whether the vehicle has been long enough where this item wants it.
     fn done(&mut self, item: &StoredItem, place: Option<Vector2<f64>>, now: Duration) -> bool {
+        let role = item.role();
         let Some(intervals) = self.plan.arrived else {
             let acceptance = f64::from(item.params[1]);
             let there = place.is_none_or(|place| {
                 let metres =
                     (self.sim.world().uav.r - place).norm() * self.sim.scenario().scale.metres_per_unit;
-                if item.command == WAYPOINT && acceptance > 0.0 {
+                if role == Role::Waypoint && acceptance > 0.0 {
                     metres <= acceptance
                 } else {
                     metres <= self.settings.autopilot.acceptance_m
                 }
             });
+            let there = there && self.is_at_height(item);
             if there {
                 self.plan.arrived = Some(0);
                 self.plan.last = place.or(Some(self.sim.world().uav.r));
                 self.reached(self.plan.current, now);
             }
-            let passes = matches!(item.command, WAYPOINT | LOITER_TIME | DELAY | LAND);
-            return there && passes && seconds_held(item) <= 0.0;
+            return there && role != Role::LoiterUnlimited && seconds_held(item) <= 0.0;
         };
         let intervals = intervals + 1;
         self.plan.arrived = Some(intervals);
-        item.command != LOITER_UNLIM && intervals as f64 * self.clock.interval_s() >= seconds_held(item)
+        role != Role::LoiterUnlimited && intervals as f64 * self.clock.interval_s() >= seconds_held(item)
     }
 
     fn jump(&mut self, seq: u16, item: &StoredItem) {
@@ -428,11 +547,11 @@ impl Vehicle {
     }
 }
 
-/// How long an item stays at its point.
+/// How long an item stays at its point, s.
 fn seconds_held(item: &StoredItem) -> f64 {
-    match item.command {
+    match item.role() {
         // A number that is none becomes no time at all.
-        WAYPOINT | LOITER_TIME | DELAY => f64::from(item.params[0].max(0.0)),
+        Role::Waypoint | Role::Wait => f64::from(item.params[0].max(0.0)),
         _ => 0.0,
     }
 }

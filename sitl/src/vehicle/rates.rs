@@ -5,7 +5,7 @@
 //! |---|---|
 //! | SET_MESSAGE_INTERVAL -1, 0 (the default rate), 20 ms to 2147 s | ACCEPTED |
 //! | another interval, not a number, an unknown message | DENIED |
-//! | a percept's message, at -1 | DENIED: it goes with every control interval |
+//! | a percept's message, at -1 | DENIED: it goes with every control interval, and from now on with nothing else |
 //! | a percept's message, faster than the control interval | ACCEPTED: beside the percept |
 //! | a percept's message, slower | ACCEPTED: the percept has it as often already |
 //! | DATA_TRANSMISSION_HANDSHAKE (130) | frames: 0 with every control interval, -1 none, else at least so far apart |
@@ -25,6 +25,8 @@ use crate::link::{AUTOPILOT, PeerId};
 
 /// The shortest interval of a stream: 50 Hz.
 const SHORTEST_US: f32 = 20_000.0;
+/// The rates of a stream, Hz: from the longest interval that MESSAGE_INTERVAL can tell to the shortest.
+const RATES_HZ: std::ops::RangeInclusive<f32> = 1e6 / i32::MAX as f32..=1e6 / SHORTEST_US;
 const HEARTBEAT_US: i32 = 1_000_000;
 
 /// The streams of a peer.
@@ -69,12 +71,18 @@ impl Rates {
     }
 }
 
-/// The interval of so many messages a second; none for 0.
+/// The interval of so many messages a second, within [`RATES_HZ`]; none for 0, and for what is no number.
 fn interval(hz: f64) -> Option<Duration> {
-    (hz > 0.0).then(|| Duration::from_secs_f64(1.0 / hz.min(1e6 / f64::from(SHORTEST_US))))
+    let (least, most) = (f64::from(*RATES_HZ.start()), f64::from(*RATES_HZ.end()));
+    (hz > 0.0).then(|| Duration::from_secs_f64(1.0 / hz.clamp(least, most)))
 }
 
 impl Vehicle {
+    /// Whether a stream can have this rate, Hz; 0 is none.
+    pub(super) fn takes_rate(hz: f32) -> bool {
+        hz == 0.0 || RATES_HZ.contains(&hz)
+    }
+
     /// Gives a peer the streams that it need not ask for.
     pub(super) fn set_default_rates(&mut self, address: PeerId, now: Duration) {
         for row in ROWS {
@@ -138,7 +146,13 @@ impl Vehicle {
         let Some(row) = row(number, component) else { return MavResult::MAV_RESULT_DENIED };
         let every = match us {
             0.0 => self.default_interval(row),
-            -1.0 if row.goes == Goes::Percept => return MavResult::MAV_RESULT_DENIED,
+            // What was beside the percept ends; the percept goes on.
+            -1.0 if row.goes == Goes::Percept => {
+                if let Some(peer) = self.peers.get_mut(&from) {
+                    peer.rates.set(row.id, None, now);
+                }
+                return MavResult::MAV_RESULT_DENIED;
+            }
             -1.0 => None,
             us if (SHORTEST_US..i32::MAX as f32).contains(&us) => {
                 Some(Duration::from_secs_f64(f64::from(us) / 1e6))
@@ -200,8 +214,8 @@ impl Vehicle {
         let stream = self.peers.get(&peer).and_then(|peer| peer.rates.every(row.id));
         match (row.goes, stream) {
             (Goes::Heartbeat, _) => HEARTBEAT_US,
-            (_, Some(every)) => every.as_micros() as i32,
-            (Goes::Percept, None) => self.control_interval().as_micros() as i32,
+            (_, Some(every)) => whole_us(every),
+            (Goes::Percept, None) => whole_us(self.control_interval()),
             (_, None) => -1,
         }
     }
@@ -222,6 +236,11 @@ impl Vehicle {
             }
         }
     }
+}
+
+/// An interval as MESSAGE_INTERVAL tells it, µs: the longest that it can where it is longer.
+fn whole_us(every: Duration) -> i32 {
+    i32::try_from(every.as_micros()).unwrap_or(i32::MAX)
 }
 
 /// The row that a command's parameter names.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::messages::{self, Row, VehicleState};
 use super::missions::MissionUpload;
 use super::modes::Mode;
-use super::{Peer, TEXT_PAUSE, Vehicle, geodesy};
+use super::{Peer, TEXT_PAUSE, Vehicle};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
 use crate::link::{AUTOPILOT, MessageData, PeerId, image, wire};
@@ -14,10 +14,15 @@ use crate::link::{AUTOPILOT, MessageData, PeerId, image, wire};
 const LONGEST: usize = 280;
 
 impl Vehicle {
-    /// A second has passed on the wall: both components say that they are there.
+    /// A second has passed on the wall: all components say that they are there.
     pub fn beat(&mut self) {
         for address in self.addresses() {
             self.heartbeat(address);
+        }
+        for (&address, peer) in &mut self.peers {
+            let mut datagram = Vec::new();
+            peer.camera.push(&mut datagram, &messages::camera_heartbeat());
+            self.outbox.push_back((address, datagram));
         }
     }
 
@@ -83,6 +88,10 @@ impl Vehicle {
         VehicleState {
             conduct: self.conduct,
             height: self.height,
+            heading: self.heading,
+            site: self.site,
+            shots: self.shots.status(self.clock.boot_ms(self.sim.tick())),
+            fence: self.fence.status(self.fence_action),
             system_status: self.system_status(),
             mission: self.plan.status(self.conduct.mode == Mode::Auto),
             launch: self.launch(),
@@ -156,10 +165,10 @@ impl Vehicle {
     /// Where it began and returns to: latitude and longitude, 1e-7 degrees.
     pub(super) fn launch(&self) -> [i32; 2] {
         let scenario = self.sim.scenario();
-        geodesy::latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
+        self.site.latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
     }
 
-    fn addresses(&self) -> Vec<PeerId> {
+    pub(super) fn addresses(&self) -> Vec<PeerId> {
         self.peers.keys().copied().collect()
     }
 

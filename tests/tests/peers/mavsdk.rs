@@ -20,3 +20,11 @@ fn mavsdk_flies_north_in_offboard() {
 fn mavsdk_has_a_mission_flown() {
     agrees("mavsdk_mission.py");
 }
+
+/// Takeoff, offboard by position and body velocity, a place on Earth, a fence that holds, and a picture.
+#[test]
+fn mavsdk_flies_by_actions_and_setpoints_inside_a_fence() {
+    let (_sitl, address) = program::sitl(&["--speed", "4", "--open", "--on-ground"]).unwrap();
+    let said = python::script("mavsdk_guided.py", &[address.to_string()]).unwrap().good().unwrap();
+    assert!(said.ends_with("ok"), "{said}");
+}

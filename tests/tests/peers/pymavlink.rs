@@ -44,6 +44,17 @@ fn pymavlink_is_answered() {
     agrees("commands.py");
 }
 
+/// No tutorial's script moved the vehicle. These do: takeoff, positions, velocities, on Earth and in the body's
+/// frame, and a reboot.
+#[test]
+fn pymavlink_flies_by_positions_and_velocities_anywhere() {
+    let home = "-35.363261,149.165230,584,353";
+    let flags = ["--speed", "8", "--open", "--on-ground", "--home", home];
+    let (_sitl, address) = program::sitl(&flags).unwrap();
+    let said = python::script("setpoints.py", &[address.to_string()]).unwrap().good().unwrap();
+    assert!(said.ends_with("ok"), "{said}");
+}
+
 /// A mission goes up, comes down again, is flown to its end; what cannot be flown is refused.
 #[test]
 fn pymavlink_has_a_mission_flown() {

@@ -11,7 +11,7 @@ use super::mission::{
 };
 use super::param::{ParamRequestList, ParamRequestRead, ParamSet, ParamValue};
 use super::service::{FileTransfer, Ping, RequestDataStream, SetupSigning, Timesync};
-use super::setpoint::SetPositionTargetLocalNed;
+use super::setpoint::{SetPositionTargetGlobalInt, SetPositionTargetLocalNed};
 use super::status::{AutopilotVersion, Heartbeat, MessageInterval};
 use super::telemetry::{
     DebugVect, GlobalPositionInt, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed,
@@ -162,6 +162,36 @@ fn setpoints() {
         type_mask: 3135,
         target: TARGET,
         coordinate_frame: 1,
+    };
+    agree(&message, fields);
+    let message = SET_POSITION_TARGET_GLOBAL_INT_DATA {
+        time_boot_ms: 1000,
+        lat_int: 473_977_420,
+        lon_int: -85_455_940,
+        alt: 3.5,
+        vx: 4.5,
+        vy: 5.5,
+        vz: 6.5,
+        afx: 7.5,
+        afy: 8.5,
+        afz: 9.5,
+        yaw: 10.5,
+        yaw_rate: 11.5,
+        type_mask: PositionTargetTypemask::from_bits_retain(3135),
+        target_system: TARGET.system,
+        target_component: TARGET.component,
+        coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    };
+    let fields = SetPositionTargetGlobalInt {
+        time_boot_ms: 1000,
+        place: [473_977_420, -85_455_940],
+        altitude: 3.5,
+        velocity: [4.5, 5.5, 6.5],
+        acceleration: [7.5, 8.5, 9.5],
+        yaw: [10.5, 11.5],
+        type_mask: 3135,
+        target: TARGET,
+        coordinate_frame: 6,
     };
     agree(&message, fields);
 }

@@ -11,7 +11,8 @@
 //! | not signed | good | refused, but for RADIO_STATUS and RADIO |
 //! | MAVLink 1 | not acted on anyhow | refused |
 //!
-//! Without a key nothing is signed and nothing is checked. A stream is a link, a system and a
+//! Without a key nothing is signed and nothing is checked. A vehicle begins with `Required`: once SETUP_SIGNING has
+//! brought a key, the unsigned are refused. A stream is a link, a system and a
 //! component. The file of [`Store`] keeps the key and the newest timestamp of each stream, so a frame
 //! recorded before a restart is refused after it.
 
@@ -29,6 +30,8 @@ use super::packet::{Header, Packet, PacketRef, SIGNED, TRAILER};
 use super::{MessageData, dialect};
 
 const STAMP: usize = 6;
+/// The newest timestamp that there is: 48 bits.
+const LAST_STAMP: u64 = (1 << (8 * STAMP)) - 1;
 /// 2015-01-01 in seconds since 1970.
 const EPOCH_S: u64 = 1_420_070_400;
 /// Timestamps a second: one is 10 µs.
@@ -43,7 +46,7 @@ const FROM_MODEMS: [u32; 2] = [dialect::RADIO_STATUS_DATA::ID, 166];
 #[must_use]
 pub fn timestamp(unix: Duration) -> u64 {
     let since = unix.saturating_sub(Duration::from_secs(EPOCH_S));
-    (since.as_micros() / 10) as u64 & 0xFFFF_FFFF_FFFF
+    (since.as_micros() / 10) as u64 & LAST_STAMP
 }
 
 /// A secret key. It is never printed: its `Debug` says nothing, and it has no `Display`.
@@ -175,7 +178,7 @@ impl Signing {
             self.streams.clear();
         }
         self.key = key;
-        self.newest = self.newest.max(initial);
+        self.newest = self.newest.max(initial.min(LAST_STAMP));
         self.changed = true;
     }
 
@@ -258,7 +261,7 @@ impl Signing {
         let unsigned = Header::of(frame).filter(|header| header.flags & SIGNED == 0);
         let extra = unsigned.and_then(|header| crc_extra(header.id));
         let (Some(key), Some(extra)) = (&self.key, extra) else { return frame.to_vec() };
-        self.newest = (self.newest + 1).max(now);
+        self.newest = (self.newest + 1).max(now).min(LAST_STAMP);
         self.changed = true;
         let mut out = Vec::with_capacity(frame.len() + TRAILER);
         out.extend_from_slice(&frame[..frame.len() - 2]);
@@ -399,8 +402,8 @@ impl Store {
         };
         let late = if content.clean { 0 } else { UNSAVED };
         let streams =
-            content.streams.iter().map(|&(link, s, c, stamp)| ((link, s, c), stamp + late)).collect();
-        Ok(Signing { streams, newest: content.timestamp + late, ..Signing::new(key, policy) })
+            content.streams.iter().map(|&(link, s, c, stamp)| ((link, s, c), after(stamp, late))).collect();
+        Ok(Signing { streams, newest: after(content.timestamp, late), ..Signing::new(key, policy) })
     }
 
     /// Writes key and timestamps; `clean` at the program's end.
@@ -429,6 +432,11 @@ impl Store {
     fn failed(&self, doing: &'static str, source: io::Error) -> StoreError {
         StoreError::File { doing, path: self.path.clone(), source }
     }
+}
+
+/// A timestamp so much later.
+fn after(stamp: u64, late: u64) -> u64 {
+    stamp.saturating_add(late).min(LAST_STAMP)
 }
 
 fn write_private(path: &Path, text: &str) -> io::Result<()> {

@@ -200,3 +200,16 @@ fn a_key_is_never_printed() {
     );
     assert!(!text.contains(&to_hex(&key().0)));
 }
+
+/// A time stamp of 64 bits in SETUP_SIGNING, and one in the file, overflowed.
+#[test]
+fn a_time_stamp_beyond_48_bits_is_the_last_one() {
+    let mut signing = Signing::new(Key::new([1; 32]), Policy::Optional);
+    signing.set_key(Key::new([2; 32]), u64::MAX);
+    let mut datagram = Vec::new();
+    Encoder::new(1, 1).push(&mut datagram, &dialect::HEARTBEAT_DATA::default());
+    for _ in 0..2 {
+        assert_eq!(signing.sign(datagram.clone(), 0, 5)[0].len(), datagram.len() + TRAILER);
+    }
+    assert_eq!(after(u64::MAX, UNSAVED), LAST_STAMP);
+}

@@ -11,14 +11,19 @@
 //! | `Command::power` | COMMAND_LONG 31010 (MAV_CMD_USER_1) to 68 | station | param1 = 1 or 4, param2 = time stamp or 0 |
 //! | `Command::accel` | SET_POSITION_TARGET_LOCAL_NED | station | frame 1, mask 3135, afx north, afy east, m/s² |
 //!
+//! Other setpoints, which no station of ours sends, are in [`setpoint_of`].
+//!
 //! All time stamps are [`Clock::boot_ms`] of a tick. The messages of a telemetry report travel in
 //! this order; a reader takes a POSITION_TARGET_LOCAL_NED only if its sequence number follows that
 //! of the LOCAL_POSITION_NED, for its own stamp names another tick.
 
+mod setpoint;
+
+pub use setpoint::{Axes, Refusal, Setpoint, SetpointFrame, setpoint_of};
+
 use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
 use super::messages::command::{CommandInt, CommandLong};
-use super::messages::setpoint::SetPositionTargetLocalNed;
 use super::messages::telemetry::{DebugVect, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed};
 use super::messages::{Target, View};
 use super::packet::Packet;
@@ -41,8 +46,6 @@ const MASK_ACCEL: u16 = 3135;
 /// type_mask of no setpoint at all.
 const MASK_NOTHING: u16 = 0x0FFF;
 const MASK_IGNORES_ACCEL: u16 = 64 | 128 | 256;
-const MASK_IGNORES_POSITION_AND_VELOCITY: u16 = 0b11_1111;
-const MASK_FORCE: u16 = 512;
 
 /// Name of the DEBUG_VECT of the obstacle with this index: `OBSTACLE`, `OBSTACLE_2`, `OBSTACLE_3` ...
 fn obstacle_name(index: usize) -> String {
@@ -58,11 +61,12 @@ fn obstacle_index(name: &str) -> Option<usize> {
     (index < MAX_OBSTACLES && obstacle_name(index) == name).then_some(index)
 }
 
-const FRAME_LOCAL_NED: u8 = 1;
 /// GLOBAL_RELATIVE_ALT and its old integer twin.
 const FRAMES_RELATIVE_ALT: [u8; 2] = [3, 6];
-/// GLOBAL and GLOBAL_RELATIVE_ALT, and their old integer twins.
-const FRAMES_GLOBAL: [u8; 4] = [0, 3, 5, 6];
+/// GLOBAL_TERRAIN_ALT and its old integer twin: the ground is level.
+const FRAMES_TERRAIN_ALT: [u8; 2] = [10, 11];
+/// GLOBAL and its old integer twin.
+const FRAMES_SEA: [u8; 2] = [0, 5];
 
 /// Ticks as milliseconds since the vehicle booted, and the constants that its messages carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,6 +94,19 @@ impl Clock {
     #[must_use]
     pub fn tick(&self, boot_ms: u32) -> Option<Tick> {
         boot_ms.checked_sub(BOOT_MS).and_then(|ms| Tick::from_boot_ms(ms, self.interval_s))
+    }
+
+    /// The same where the milliseconds may have come round, after 49.7 days: of the ticks with this
+    /// `time_boot_ms` the one nearest to `current`.
+    #[must_use]
+    pub fn tick_near(&self, boot_ms: u32, current: Tick) -> Option<Tick> {
+        let interval_ms = self.interval_s * 1e3;
+        let now_ms = (current.0 as f64 * interval_ms).round();
+        // The shorter way round.
+        let ahead = boot_ms.wrapping_sub(self.boot_ms(current)) as i32;
+        let ms = now_ms + f64::from(ahead);
+        let tick = Tick((ms / interval_ms).round().max(0.0) as u64);
+        (ms >= 0.0 && self.boot_ms(tick) == boot_ms).then_some(tick)
     }
 
     /// Length of a control interval, seconds.
@@ -363,52 +380,32 @@ pub fn push_setpoint(
     station.push(datagram, &setpoint);
 }
 
-/// An acceleration that a station asks for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Setpoint {
-    /// Its `time_boot_ms`, the station's or ours.
-    pub stamp_ms: u32,
-    /// North, east, m/s².
-    pub accel: [f32; 2],
+/// What a height counts from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Above {
+    /// The sea.
+    Sea,
+    /// The ground at home, which is level.
+    Home,
 }
 
-/// Why a setpoint is not flown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
-pub enum Refusal {
-    /// Another coordinate frame.
-    #[error("setpoint refused: only frame LOCAL_NED (1)")]
-    Frame,
-    /// Not acceleration alone, in all three axes.
-    #[error("setpoint refused: acceleration only, mask 3135")]
-    NotAcceleration,
-    /// Force in place of acceleration.
-    #[error("setpoint refused: force bit set, mask 3135")]
-    Force,
-    /// A field that matters is infinite or not a number.
-    #[error("setpoint refused: not finite")]
-    NotFinite,
+impl Above {
+    /// What the heights of a MAV_FRAME of the globe count from; `None` for other frames.
+    #[must_use]
+    pub fn of_frame(frame: u8) -> Option<Self> {
+        match frame {
+            frame if FRAMES_SEA.contains(&frame) => Some(Self::Sea),
+            frame if FRAMES_RELATIVE_ALT.contains(&frame) || FRAMES_TERRAIN_ALT.contains(&frame) => {
+                Some(Self::Home)
+            }
+            _ => None,
+        }
+    }
 }
 
-/// The setpoint in a SET_POSITION_TARGET_LOCAL_NED. The vehicle is planar: afz must be there and
-/// finite and is not flown. Yaw is not flown either, and what the mask ignores is not read.
-#[must_use]
-pub fn setpoint_of(packet: &Packet) -> Option<(Target, Result<Setpoint, Refusal>)> {
-    let asked = SetPositionTargetLocalNed::of(packet)?;
-    let mask = asked.type_mask;
-    let result = if asked.coordinate_frame != FRAME_LOCAL_NED {
-        Err(Refusal::Frame)
-    } else if mask & MASK_FORCE != 0 {
-        Err(Refusal::Force)
-    } else if mask & MASK_IGNORES_ACCEL != 0
-        || mask & MASK_IGNORES_POSITION_AND_VELOCITY != MASK_IGNORES_POSITION_AND_VELOCITY
-    {
-        Err(Refusal::NotAcceleration)
-    } else if let Some([north, east, _]) = finite(asked.acceleration) {
-        Ok(Setpoint { stamp_ms: asked.time_boot_ms, accel: [north, east] })
-    } else {
-        Err(Refusal::NotFinite)
-    };
-    Some((asked.target, result))
+/// Whether latitude and longitude, degrees, are a place.
+fn on_globe([latitude, longitude]: &[f64; 2]) -> bool {
+    latitude.abs() <= 90.0 && longitude.abs() <= 180.0
 }
 
 /// A COMMAND_LONG or COMMAND_INT, read from its bytes: the dialect refuses commands it has no name
@@ -422,9 +419,13 @@ pub struct Ask {
     /// param5 and param6, or x and y, as latitude and longitude in degrees; `None` unless both are
     /// there, in a frame of the globe, and a place on it.
     pub place: Option<[f64; 2]>,
-    /// param7 or z as a height above home, m; not a number if a COMMAND_INT has it in a frame of
-    /// another origin.
+    /// Whether the place is where it is: param5 and param6 are not numbers, or the greatest integers.
+    pub stays: bool,
+    /// param7 or z, m.
     pub height: f32,
+    /// What it counts from: home in a COMMAND_LONG, as with ArduCopter; `None` in a frame that is not
+    /// of the globe.
+    pub above: Option<Above>,
     /// To whom.
     pub target: Target,
 }
@@ -433,16 +434,16 @@ pub struct Ask {
 #[must_use]
 pub fn ask_of<'a>(packet: impl Into<PacketRef<'a>>) -> Option<Ask> {
     let packet = packet.into();
-    let on_globe = |[latitude, longitude]: &[f64; 2]| latitude.abs() <= 90.0 && longitude.abs() <= 180.0;
     if let Some(CommandLong { params, command, target, .. }) = CommandLong::of(packet) {
         let [param1, param2, param3, param4, x, y, height] = params;
         let place = Some([x, y].map(f64::from)).filter(on_globe);
-        return Some(Ask { command, params: [param1, param2, param3, param4], place, height, target });
+        let (params, above) = ([param1, param2, param3, param4], Some(Above::Home));
+        return Some(Ask { command, params, place, stays: x.is_nan() && y.is_nan(), height, above, target });
     }
-    let CommandInt { params, place, z, command, target, frame, .. } = CommandInt::of(packet)?;
-    let degrees = FRAMES_GLOBAL.contains(&frame).then(|| place.map(|v| f64::from(v) / 1e7));
-    let height = if FRAMES_RELATIVE_ALT.contains(&frame) { z } else { f32::NAN };
-    Some(Ask { command, params, place: degrees.filter(on_globe), height, target })
+    let CommandInt { params, place, z: height, command, target, frame, .. } = CommandInt::of(packet)?;
+    let above = Above::of_frame(frame);
+    let degrees = above.map(|_| place.map(|v| f64::from(v) / 1e7)).filter(on_globe);
+    Some(Ask { command, params, place: degrees, stays: place == [i32::MAX; 2], height, above, target })
 }
 
 #[cfg(test)]

@@ -113,13 +113,14 @@ proptest! {
         let (target, setpoint) = setpoint_of(second).unwrap();
         prop_assert_eq!(target, Target { system: 7, component: AUTOPILOT });
         let setpoint = setpoint.unwrap();
-        prop_assert_eq!(setpoint.accel.map(f32::to_bits), accel.map(f32::to_bits));
+        let flown = setpoint.level_acceleration().unwrap();
+        prop_assert_eq!(flown.map(f32::to_bits), accel.map(f32::to_bits));
         prop_assert_eq!(clock().tick(setpoint.stamp_ms), Some(Tick(tick)));
     }
 
     #[test]
     fn packets_full_of_junk_never_panic(
-        id in prop::sample::select(vec![32_u32, 84, 85, 76, 75, 250, 251, 130, 131, 23, 20]),
+        id in prop::sample::select(vec![32_u32, 84, 85, 86, 76, 75, 250, 251, 130, 131, 23, 20]),
         payload in prop::collection::vec(any::<u8>(), 0..=255),
     ) {
         let mut raw = vec![0xFD, payload.len() as u8, 0, 0, 0, 1, 1, id as u8, 0, 0];
@@ -177,22 +178,56 @@ fn setpoints_are_taken_or_refused_for_a_reason() {
         }
     };
     let verdict = |packet: Packet| setpoint_of(&packet).unwrap().1;
-    let good = Ok(Setpoint { stamp_ms: 0, accel: [1.0, 0.0] });
-    assert_eq!(verdict(setpoint(|_| {})), good);
-    assert_eq!(verdict(setpoint(|m| (m.x, m.yaw) = (f32::NAN, f32::NAN))), good);
+    let level = |packet: Packet| verdict(packet).map(|setpoint| setpoint.level_acceleration());
+    let good = Ok(Some([1.0, 0.0]));
+    assert_eq!(level(setpoint(|_| {})), good);
+    assert_eq!(level(setpoint(|m| (m.x, m.yaw) = (f32::NAN, f32::NAN))), good);
     let ignored = setpoint(|m| {
         (m.x, m.y, m.z) = (1.0, 2.0, 3.0);
         (m.vx, m.vy, m.vz) = (4.0, 5.0, 6.0);
     });
-    assert_eq!(verdict(ignored), good, "position and velocity are ignored");
-    assert_eq!(verdict(setpoint(mask(0x3F))), good, "yaw is not flown");
-    assert_eq!(verdict(setpoint(mask(MASK_ACCEL | 0xF000))), good, "bits without a meaning");
-    assert_eq!(verdict(setpoint(mask(0x0DFF))), Err(Refusal::NotAcceleration));
-    assert_eq!(verdict(setpoint(mask(0x0D3F))), Err(Refusal::NotAcceleration), "one axis ignored");
-    assert_eq!(verdict(setpoint(mask(0))), Err(Refusal::NotAcceleration), "a position too");
+    assert_eq!(level(ignored), good, "position and velocity are ignored");
+    assert_eq!(level(setpoint(mask(0x3F))), good, "yaw turns, beside it");
+    assert_eq!(level(setpoint(mask(MASK_ACCEL | 0xF000))), good, "bits without a meaning");
+    assert_eq!(verdict(setpoint(mask(0x0DFF))), Err(Refusal::Empty));
+    let one = verdict(setpoint(mask(0x0C7F))).unwrap();
+    assert_eq!((one.acceleration.level, one.acceleration.down), (None, Some(0.0)), "x ignores y too");
+    assert_eq!(level(setpoint(mask(0))), Ok(None), "a position too");
+    assert_eq!(level(setpoint(|m| m.afz = -1.0)), Ok(None), "it leaves the plane");
     assert_eq!(verdict(setpoint(mask(MASK_ACCEL | 512))), Err(Refusal::Force));
     assert_eq!(verdict(setpoint(|m| m.afy = f32::NAN)), Err(Refusal::NotFinite));
     assert_eq!(verdict(setpoint(|m| m.afz = f32::INFINITY)), Err(Refusal::NotFinite));
     let other = setpoint(|m| m.coordinate_frame = MavFrame::MAV_FRAME_LOCAL_ENU);
     assert_eq!(verdict(other), Err(Refusal::Frame));
+}
+
+#[test]
+#[expect(deprecated, reason = "stations still use the integer twins of the frames")]
+fn setpoints_on_earth_have_degrees_and_a_height_from_home_or_the_sea() {
+    let verdict = |coordinate_frame, lat_int| {
+        let message = dialect::SET_POSITION_TARGET_GLOBAL_INT_DATA {
+            lat_int,
+            lon_int: 85_000_000,
+            alt: 30.0,
+            type_mask: PositionTargetTypemask::from_bits_retain(0x0DF8),
+            coordinate_frame,
+            ..Default::default()
+        };
+        let mut datagram = Vec::new();
+        Encoder::new(255, 190).push(&mut datagram, &message);
+        setpoint_of(&Decoder::default().datagram(&datagram).remove(0)).unwrap().1
+    };
+    for (frame, expected) in [
+        (MavFrame::MAV_FRAME_GLOBAL, SetpointFrame::Sea),
+        (MavFrame::MAV_FRAME_GLOBAL_INT, SetpointFrame::Sea),
+        (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT, SetpointFrame::Home),
+        (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, SetpointFrame::Home),
+        (MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, SetpointFrame::Home),
+    ] {
+        let setpoint = verdict(frame, 474_000_000).unwrap();
+        assert_eq!(setpoint.frame, expected);
+        assert_eq!(setpoint.position, Axes { level: Some([47.4, 8.5]), down: Some(-30.0) });
+    }
+    assert_eq!(verdict(MavFrame::MAV_FRAME_LOCAL_NED, 0), Err(Refusal::Frame));
+    assert_eq!(verdict(MavFrame::MAV_FRAME_GLOBAL_INT, 900_000_001), Err(Refusal::NoPlace));
 }

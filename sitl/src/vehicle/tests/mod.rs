@@ -1,6 +1,8 @@
 //! The vehicle as its peers meet it; what they can ask for is in the modules below.
 
+mod boot;
 mod files;
+mod guided;
 mod junk;
 mod missions;
 mod modes;

@@ -163,21 +163,22 @@ fn landing_disarms_and_takeoff_needs_arming() {
     told(&mut bench, &arm(1.0, 0.0));
     assert_eq!(told(&mut bench, &takeoff(100.0)).0, ACCEPTED);
     pass(&mut bench, 50);
-    assert_eq!((bench.vehicle.height.altitude_m, bench.vehicle.conduct.climbing), (100.0, false));
+    assert_eq!((bench.vehicle.height.altitude_m, bench.vehicle.conduct.climbing), (100.0, None));
     bench.send(&setpoint(0, 5.0));
     pass(&mut bench, 1);
     assert!(bench.vehicle.sim.world().uav.v.norm() > 0.0);
 }
 
+/// A takeoff to 10 m was denied: the vehicle flew at one height.
 #[test]
-fn takeoff_knows_one_height() {
+fn a_takeoff_climbs_to_the_height_that_it_names() {
     let mut bench = Bench::new();
     bench.hello();
     let takeoff = |height| long(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, height);
     assert_eq!(told(&mut bench, &takeoff(100.0)), (ACCEPTED, None), "it is there");
-    let (result, text) = told(&mut bench, &takeoff(10.0));
-    assert_eq!((result, text.as_deref()), (DENIED, Some("takeoff refused: flies at 100 m, always")));
-    assert_eq!(told(&mut bench, &takeoff(f32::NAN)).0, DENIED);
+    for bad in [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e30] {
+        assert_eq!(told(&mut bench, &takeoff(bad)).0, DENIED, "{bad}");
+    }
     let (target_system, target_component, command) = (7, 1, MavCmd::MAV_CMD_NAV_TAKEOFF);
     let mut int = dialect::COMMAND_INT_DATA {
         z: 100.0,
@@ -190,6 +191,21 @@ fn takeoff_knows_one_height() {
     assert_eq!(told(&mut bench, &int), (ACCEPTED, None));
     int.frame = dialect::MavFrame::MAV_FRAME_GLOBAL;
     assert_eq!(told(&mut bench, &int).0, DENIED, "100 m above the sea is below the ground");
+    assert_eq!(told(&mut bench, &takeoff(90.0)).0, ACCEPTED, "in the air it goes there");
+    pass(&mut bench, 10);
+    assert_eq!(bench.vehicle.height.altitude_m, 90.0);
+    told(&mut bench, &mode(5.0));
+    assert_eq!(told(&mut bench, &takeoff(50.0)).0, FAILED, "not in LOITER");
+
+    told(&mut bench, &mode(9.0));
+    pass(&mut bench, 60);
+    told(&mut bench, &mode(4.0));
+    told(&mut bench, &arm(1.0, 0.0));
+    assert_eq!(told(&mut bench, &takeoff(10.0)).0, ACCEPTED);
+    pass(&mut bench, 4);
+    assert_eq!((bench.vehicle.height.altitude_m, bench.vehicle.height.climb_mps), (8.0, 5.0));
+    pass(&mut bench, 6);
+    assert_eq!((bench.vehicle.height.altitude_m, bench.vehicle.conduct.climbing), (10.0, None));
 }
 
 #[test]
@@ -216,13 +232,28 @@ fn a_reposition_flies_to_its_point_until_the_next_setpoint() {
         command: MavCmd::MAV_CMD_DO_REPOSITION,
         target_system: 7,
         target_component: 1,
+        z: 30.0,
         frame: dialect::MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
         ..Default::default()
     };
     assert_eq!(told(&mut bench, &go(x, y + 1_000_000)).0, DENIED, "east of the square");
+    let below = dialect::COMMAND_INT_DATA { z: -30.0, ..go(x, y) };
+    assert_eq!(told(&mut bench, &below).0, DENIED, "below the ground");
     assert_eq!(told(&mut bench, &go(x, y)).0, ACCEPTED);
     pass(&mut bench, 100);
     assert!((bench.vehicle.sim.world().uav.r - target).norm() < 1e-3);
+    assert_eq!(bench.vehicle.height.altitude_m, 30.0, "its height is flown");
+    let sea = dialect::COMMAND_INT_DATA {
+        x: i32::MAX,
+        y: i32::MAX,
+        z: 488.0 + 40.0,
+        frame: dialect::MavFrame::MAV_FRAME_GLOBAL_INT,
+        ..go(0, 0)
+    };
+    assert_eq!(told(&mut bench, &sea).0, ACCEPTED, "here, above the sea");
+    pass(&mut bench, 10);
+    assert!((bench.vehicle.sim.world().uav.r - target).norm() < 1e-3);
+    assert_eq!(bench.vehicle.height.altitude_m, 40.0);
     bench.send(&setpoint(0, 5.0));
     pass(&mut bench, 1);
     assert!(bench.vehicle.sim.world().uav.v.norm() > 0.0);
@@ -243,12 +274,20 @@ fn a_speed_is_taken_within_the_limit() {
         (1.0, 51.0, DENIED),
         (1.0, 0.0, DENIED),
         (1.0, f32::NAN, DENIED),
-        (2.0, 10.0, DENIED),
+        (1.0, 1e-30, DENIED),
+        (2.0, 10.0, ACCEPTED),
+        (2.0, -5.0, DENIED),
+        (4.0, 10.0, DENIED),
+        (1.0, -1.0, ACCEPTED),
     ] {
         let change = long(MavCmd::MAV_CMD_DO_CHANGE_SPEED, kind, mps, 0.0);
         assert_eq!(told(&mut bench, &change).0, result, "{kind} {mps}");
     }
-    assert_eq!(bench.vehicle.settings.autopilot.speed_mps, 50.0);
+    let autopilot = &bench.vehicle.settings.autopilot;
+    assert_eq!((autopilot.speed_mps, autopilot.climb_mps), (50.0, 10.0), "-1 changes nothing");
+    let default = long(MavCmd::MAV_CMD_DO_CHANGE_SPEED, 1.0, -2.0, 0.0);
+    assert_eq!(told(&mut bench, &default).0, ACCEPTED);
+    assert_eq!(bench.vehicle.settings.autopilot.speed_mps, 20.0);
 }
 
 mod failsafes {

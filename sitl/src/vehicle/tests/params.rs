@@ -121,7 +121,7 @@ fn what_cannot_be_set_is_answered_with_the_old_value() {
         ("FS_SETP_ACT", [3.0, -1.0], 0.0),
         ("FS_SETP_TIME", [0.0, f32::NAN], 3.0),
         ("WP_SPEED", [51.0, 0.0], 20.0),
-        ("SIGN_REQUIRED", [2.0, f32::NAN], 0.0),
+        ("SIGN_REQUIRED", [2.0, f32::NAN], 1.0),
         ("GOAL_E", [501.0, -1.0], 450.0),
         ("RATE_ATTITUDE", [f32::NAN, f32::NEG_INFINITY], 4.0),
         ("RATE_ATTITUDE", [-1.0, 51.0], 4.0),
@@ -161,7 +161,7 @@ fn a_failsafe_is_set_in_flight_and_a_radio_at_boot() {
     let mut bench = Bench::new();
     bench.hello();
     assert_eq!(set(&mut bench, "FS_SETP_ACT", 1.0)[0].2, 1.0);
-    assert_eq!(bench.vehicle.settings.failsafe.setpoint_action, crate::scenario::Action::Brake);
+    assert_eq!(bench.vehicle.settings.failsafe.setpoint_action, Action::Brake);
     assert_eq!(set(&mut bench, "RADIO_B_DT", 2.5)[0].2, 2.5);
     assert_eq!(bench.vehicle.sim.scenario().radio.b_dt, 4.0, "the flight goes on as it began");
     let params = bench.vehicle.settable_params();
@@ -171,7 +171,7 @@ fn a_failsafe_is_set_in_flight_and_a_radio_at_boot() {
     assert_eq!(again.settable_params(), params);
     let mut expected = Scenario::default();
     expected.radio.b_dt = 2.5;
-    expected.failsafe.setpoint_action = crate::scenario::Action::Brake;
+    expected.failsafe.setpoint_action = Action::Brake;
     assert_eq!(*again.sim.scenario(), expected, "what was not changed is what it was, to the last bit");
 }
 
@@ -185,7 +185,8 @@ fn every_parameter_that_can_be_set_takes_another_value_and_keeps_it() {
             ("RADIO_TXP", _) => 4.0,
             (_, 0.0) => 1.0,
             ("DYN_WALLS", _) => 0.0,
-            ("RADIO_RULE", _) => 2.0,
+            ("RADIO_RULE" | "FENCE_ACTION", _) => 2.0,
+            ("SIGN_REQUIRED", _) => 0.0,
             _ => value * 1.0625,
         };
         let reply = bench.send(&dialect::PARAM_SET_DATA {
@@ -241,4 +242,32 @@ fn what_follows_a_collision_is_a_parameter() {
     let vehicle = boot("COLLIDE_ACT 1\n").unwrap();
     assert_eq!(vehicle.sim.scenario().safety.collision_action, crate::scenario::CollisionAction::Fall);
     assert_eq!(boot("WIND_KICK 1\n").err().unwrap().to_string(), "line 1: `WIND_KICK` is now WIND_GUST");
+}
+
+/// One PARAM_SET killed the process: the time between two messages was no Duration.
+#[test]
+fn a_rate_that_no_timer_has_is_refused_and_the_old_value_told() {
+    let mut bench = Bench::new();
+    bench.hello();
+    bench.vehicle.start_streams(Duration::from_millis(400), bench.now);
+    let names: Vec<String> = list(&mut bench, 1).into_iter().map(|param| param.1).collect();
+    let rates: Vec<&String> = names.iter().filter(|name| name.starts_with("RATE_")).collect();
+    assert_eq!(rates.len(), 12);
+    for value in [1e-18, 1e-19, 5.421e-20, 1e-30, 1e-45, f32::MIN_POSITIVE, 1e-4, 50.1, -1.0, f32::INFINITY] {
+        for name in &rates {
+            let old = read(&mut bench, -1, name)[0].2;
+            assert_eq!(set(&mut bench, name, value)[0].2, old, "{name} {value}");
+        }
+        bench.now += Duration::from_secs(1);
+        bench.vehicle.stream(bench.now);
+    }
+    assert_eq!(set(&mut bench, "RATE_GPS", 0.001)[0].2, 0.001);
+    assert_eq!(set(&mut bench, "RATE_GPS", 0.0)[0].2, 0.0);
+}
+
+#[test]
+fn a_file_with_such_a_rate_names_its_line() {
+    let entries = crate::link::param_file::parse("WP_SPEED 10\nRATE_GPS 1e-30\n").unwrap();
+    let error = Vehicle::boot(&Scenario::default(), 1, 7, None, &entries).unwrap_err();
+    assert!(error.to_string().starts_with("line 2: RATE_GPS"), "{error}");
 }

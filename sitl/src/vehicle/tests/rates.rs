@@ -176,3 +176,18 @@ fn the_wall_clock_is_told_if_it_is_known() {
     };
     assert_eq!((unix(), unix()), (0, 1_000_003_000_000));
 }
+
+/// It went on at 22.7 Hz.
+#[test]
+fn a_faster_rate_of_the_percept_ends_at_minus_one() {
+    let mut bench = Bench::new();
+    bench.vehicle.start_streams(Duration::from_millis(400), bench.now);
+    bench.hello();
+    let mut set = |us| {
+        let ask = ask(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, 32.0, (7, 1));
+        bench.send(&dialect::COMMAND_LONG_DATA { param2: us, ..ask });
+        bench.vehicle.peers[&bench.address.into()].rates.every(32)
+    };
+    assert_eq!(set(44_000.0), Some(Duration::from_millis(44)));
+    assert_eq!(set(-1.0), None);
+}

@@ -9,7 +9,29 @@ const PLACE: usize = 2;
 fn bench() -> Bench {
     let mut bench = Bench::new();
     bench.vehicle.set_epoch(Some(Duration::from_secs(1_800_000_000)));
+    bench.vehicle.signing_mut().set_policy(Policy::Optional);
     bench
+}
+
+/// ArduCopter and PX4 refuse the unsigned from then on; they were still taken.
+#[test]
+fn after_a_key_has_come_the_unsigned_are_refused_unless_somebody_wished_otherwise() {
+    let (mut bench, mut ours) = (Bench::new(), station());
+    bench.vehicle.set_epoch(Some(Duration::from_secs(1_800_000_000)));
+    bench.hello();
+    bench.send(&setpoint(0, 1.0));
+    assert!(bench.vehicle.ready(), "without a key everything is heard");
+    bench.vehicle.advance(bench.now);
+    bench.send(&setup(key().bytes()));
+    bench.send(&setpoint(0, 1.0));
+    bench.send(&setup([3; 32]));
+    assert!(!bench.vehicle.ready(), "nor is another key, unsigned");
+    assert_eq!(bench.vehicle.tally().unsigned[&Rejection::Unsigned], 2);
+    let mut push = Vec::new();
+    bench.station.push(&mut push, &setpoint(0, 1.0));
+    let push = sign(&mut ours, push);
+    bench.datagram(&push);
+    assert!(bench.vehicle.ready());
 }
 
 fn setup(secret_key: [u8; 32]) -> dialect::SETUP_SIGNING_DATA {

@@ -87,3 +87,57 @@ fn packets_that_the_radio_lost_are_in_the_status() {
     let Some(MavMessage::SYS_STATUS(status)) = requested(&mut bench, 1).message() else { panic!() };
     assert_eq!((status.errors_comm, status.drop_rate_comm), (4, 10_000));
 }
+
+/// CAMERA_INFORMATION and every camera command were UNSUPPORTED.
+#[test]
+fn the_camera_says_what_it_is_and_takes_pictures_on_command() {
+    let mut bench = Bench::new();
+    bench.hello();
+    for component in [1, 100] {
+        let reply = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_MESSAGE, 259.0, (7, component)));
+        assert_eq!(ids(&reply), [(component, 77), (100, 259)]);
+        let Some(MavMessage::CAMERA_INFORMATION(told)) = reply[1].message() else { panic!("a camera") };
+        assert_eq!((told.resolution_h, told.resolution_v), (100, 100));
+        for (command, id) in [(521, 259), (522, 260), (525, 261), (527, 262)] {
+            let mut datagram = Vec::new();
+            let command = CommandLong {
+                params: [1.0; 7],
+                command,
+                target: Target { system: 7, component },
+                confirmation: 0,
+            };
+            bench.station.push_view(&mut datagram, &command);
+            assert_eq!(ids(&bench.datagram(&datagram)), [(component, 77), (100, id)]);
+        }
+    }
+    let start = |seconds, total| dialect::COMMAND_LONG_DATA {
+        param2: seconds,
+        param3: total,
+        ..ask(MavCmd::MAV_CMD_IMAGE_START_CAPTURE, 0.0, (7, 100))
+    };
+    let one = bench.send(&start(0.0, 1.0));
+    assert_eq!(ids(&one)[..3], [(100, 77), (100, 263), (1, 130)]);
+    let mut images = Reassembler::default();
+    assert!(one.iter().any(|packet| images.push(packet) == Some((Tick(0), bench.vehicle.sim.frame()))));
+    assert_eq!(acks(&bench.send(&start(f32::NAN, 1.0)))[0].1.result, MavResult::MAV_RESULT_DENIED);
+
+    let mut shots = bench.send(&start(0.8, 3.0));
+    for _ in 0..10 {
+        bench.vehicle.advance(bench.now);
+        shots.extend(bench.received());
+    }
+    let taken: Vec<_> = shots
+        .iter()
+        .filter_map(|packet| match packet.message() {
+            Some(MavMessage::CAMERA_IMAGE_CAPTURED(shot)) => Some((shot.image_index, shot.time_boot_ms)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(taken, [(1, 1000), (2, 1800), (3, 2600)]);
+    let again = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE, 2.0, (7, 100)));
+    assert_eq!(ids(&again), [(100, 77), (100, 263)]);
+    let video = bench.send(&ask(MavCmd::MAV_CMD_VIDEO_START_CAPTURE, 0.0, (7, 100)));
+    assert_eq!(acks(&video)[0].1.result, MavResult::MAV_RESULT_UNSUPPORTED);
+    bench.vehicle.beat();
+    assert!(ids(&bench.received()).contains(&(100, 0)), "stations look for its heartbeat");
+}
