@@ -171,8 +171,8 @@ trait LinkPort: std::fmt::Debug + Send {
     /// Sends, or keeps for sending.
     fn send(&mut self, to: SocketAddr, bytes: &[u8]) -> Result<(), SendError>;
 
-    /// Writes what waits; ready when nothing waits. Adds what could not be sent: to whom, and bytes.
-    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()>;
+    /// Writes what waits; ready when nothing waits. Adds what could not be sent: to whom, and what.
+    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()>;
 
     /// The address that it has itself, if that is one for all.
     fn local(&self) -> Option<SocketAddr>;
@@ -374,8 +374,8 @@ impl Links {
 
     /// Waits until the system has taken all datagrams, which it does unless very many were sent at once.
     /// Waits for no stream: how fast that goes on is its peer's choice. Gives what could not be sent
-    /// after all: to whom, and bytes. Loses nothing if dropped.
-    pub async fn flush(&mut self) -> Vec<(PeerId, usize)> {
+    /// after all: to whom, and what. Loses nothing if dropped.
+    pub async fn flush(&mut self) -> Vec<(PeerId, Vec<u8>)> {
         let mut all = Vec::new();
         std::future::poll_fn(|cx| self.poll_flush(cx, &mut all, false)).await;
         all
@@ -397,7 +397,7 @@ impl Links {
     fn poll_flush(
         &mut self,
         cx: &mut Context<'_>,
-        all: &mut Vec<(PeerId, usize)>,
+        all: &mut Vec<(PeerId, Vec<u8>)>,
         streams: bool,
     ) -> Poll<()> {
         let mut waits = false;
@@ -409,7 +409,7 @@ impl Links {
             waits |= port.poll_flush(cx, &mut failed).is_pending();
             for (address, bytes) in failed {
                 counters.sent -= 1;
-                counters.sent_bytes -= bytes as u64;
+                counters.sent_bytes -= bytes.len() as u64;
                 counters.failed += 1;
                 all.push((PeerId { endpoint, address }, bytes));
             }

@@ -130,7 +130,7 @@ impl LinkPort for ListenPort {
         })
     }
 
-    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()> {
+    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()> {
         let mut waits = false;
         let gone = &mut self.gone;
         self.streams.retain(|&address, stream| match stream.poll_write(cx) {
@@ -270,7 +270,7 @@ impl LinkPort for ConnectPort {
         })
     }
 
-    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()> {
+    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()> {
         let Outward::Up(stream) = &mut self.state else { return Poll::Ready(()) };
         stream.poll_write(cx).map(|written| {
             if written.is_err() {

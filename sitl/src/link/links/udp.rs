@@ -93,13 +93,14 @@ impl LinkPort for UdpPort {
         Ok(())
     }
 
-    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()> {
+    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()> {
         while let Some((to, bytes)) = self.unsent.front() {
-            if let Err(error) = std::task::ready!(self.socket.poll_send_to(cx, bytes, *to)) {
+            let sent = std::task::ready!(self.socket.poll_send_to(cx, bytes, *to));
+            let done = self.unsent.pop_front();
+            if let (Err(error), Some((to, bytes))) = (sent, done) {
                 tracing::debug!(%to, "sending: {error}");
-                failed.push((*to, bytes.len()));
+                failed.push((to, bytes));
             }
-            self.unsent.pop_front();
         }
         Poll::Ready(())
     }

@@ -112,7 +112,7 @@ impl Default for Hub {
 impl Hub {
     fn new(options: LinkOptions) -> Self {
         Self {
-            router: Router::default(),
+            router: Router::salted(salt()),
             links: Links::new(options),
             sides: Vec::new(),
             exits: BTreeMap::new(),
@@ -259,7 +259,10 @@ impl Hub {
     /// All links with their counters.
     #[must_use]
     pub fn rows(&self) -> Vec<LinkRow<'_>> {
-        self.router.links().map(|(name, systems, counters)| LinkRow { name, systems, counters }).collect()
+        let open = self.router.links().map(|(name, systems, counters)| LinkRow { name, systems, counters });
+        let closed =
+            self.router.closed().map(|(name, counters)| LinkRow { name, systems: Vec::new(), counters });
+        open.chain(closed).collect()
     }
 
     /// From reading a burst to having sent what it holds.
@@ -429,12 +432,18 @@ impl Hub {
             }
             _ => send(link, datagram),
         });
-        for (peer, bytes) in self.links.flush().await {
+        for (peer, datagram) in self.links.flush().await {
             if let Some(link) = self.peers.get(&peer) {
-                self.router.not_sent(*link, bytes);
+                self.router.not_sent(*link, &datagram);
             }
         }
     }
+}
+
+/// What tells this program's router from others.
+fn salt() -> u64 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    now.as_nanos() as u64 ^ u64::from(std::process::id()) << 32
 }
 
 #[cfg(test)]
