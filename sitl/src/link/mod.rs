@@ -14,7 +14,7 @@
 //! | [`messages`] | payloads by named fields: where in a message a field is |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
-//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
+//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `udpbcast:`, `tcpin:`, `tcpout:`, `serial:DEVICE:BAUD` |
 //! | [`links`] | several endpoints at once, as one source and sink of bytes |
 //! | [`param_file`] | `.param` files |
 //! | [`sequence`] | what sequence numbers tell: missing, late |
