@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
@@ -16,7 +17,8 @@ use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
-use crpl_gcs::tools::{bridge, mission, param, replay};
+use crpl_gcs::tools::identity::Identity;
+use crpl_gcs::tools::{bridge, key, mission, param, replay, tlog};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::cli::Pace;
@@ -63,6 +65,10 @@ enum GcsCommand {
     Mission(mission::Missions),
     /// Send a recorded flight to whoever watches
     Replay(replay::Replay),
+    /// Look into telemetry logs, cut and merge them
+    Tlog(tlog::TlogArgs),
+    /// Make keys of message signing, and tell them apart
+    Key(key::KeyArgs),
     /// Run the simulated vehicle: the same program as `sitl`
     Sitl(crpl_sitl::program::cli::Args),
 }
@@ -130,6 +136,12 @@ struct Fly {
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
+    /// How long to wait for the vehicle, for its first report, and for any next one
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    timeout: u64,
+    /// Who flies
+    #[command(flatten)]
+    identity: Identity,
     /// Controller to fly
     #[arg(long, value_enum, default_value = "crpl")]
     controller: Controller,
@@ -208,7 +220,8 @@ async fn fly(args: Fly) -> Result<()> {
         system: args.sysid,
         signing_key: args.signing_key,
         forward: args.forward,
-        ..Options::default()
+        timeout: Duration::from_secs(args.timeout),
+        identity: args.identity,
     };
     let foreign = args.vehicle.foreign();
     let (mut session, scenario) = match foreign {
@@ -238,7 +251,7 @@ async fn fly(args: Fly) -> Result<()> {
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
     let flown = match (foreign, session) {
         (Some(stack), _) => {
-            let how = Foreign { stack, system: args.sysid, speed: args.speed };
+            let how = Foreign { stack, system: args.sysid, speed: args.speed, identity: args.identity };
             foreign::fly(&args.connect, &scenario, &how, &options, &mut crew).await?
         }
         (None, Some(session)) => flight::fly_on(session, &scenario, &options, &mut crew).await?,
@@ -257,7 +270,7 @@ fn report_flights(flights: &[Summary], out: &Path, json: bool, exit: Option<Exit
     if !flights.is_empty() {
         print_flights(flights, json)?;
         if !json {
-            println!("records, tlog and plot in {}", out.display());
+            crpl_sitl::outln!("records, tlog and plot in {}", out.display());
         }
     }
     exit.map_or(Ok(()), |exit| Err(exit.into()))
@@ -265,9 +278,9 @@ fn report_flights(flights: &[Summary], out: &Path, json: bool, exit: Option<Exit
 
 fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
-        println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
+        crpl_sitl::outln!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
-        print!("{}", summary::table(flights));
+        crpl_sitl::out!("{}", summary::table(flights));
     }
     Ok(())
 }
@@ -280,6 +293,8 @@ fn main() -> ExitCode {
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
+        GcsCommand::Tlog(args) => tlog::run(&args),
+        GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
         GcsCommand::Episodes(args) => episodes::run(&args),
         GcsCommand::Optimise(args) => optimise::run(&args),

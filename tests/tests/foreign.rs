@@ -8,6 +8,7 @@ use std::time::Duration;
 use crpl_gcs::flight::foreign::Foreign;
 use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
+use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
@@ -40,7 +41,7 @@ fn story(stacks: (Stack, guide::ForeignStack), mut meddle: impl FnMut(f64, &mut 
     let models = Models::load(None, None).unwrap();
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
     let mut autopilot = Autopilot::new(stacks.0, [-7.0, 21.0], true);
-    let how = Foreign { stack: stacks.1, system: None, speed: 1.0 };
+    let how = Foreign { stack: stacks.1, system: None, speed: 1.0, identity: Identity::default() };
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
     let (mut said, mut flying) = (Vec::new(), None);
     for k in 0_u32..30_000 {

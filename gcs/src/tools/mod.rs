@@ -1,10 +1,13 @@
-//! MAVLink tools for any vehicle: router, parameters, missions, commands, replay.
+//! MAVLink tools for any vehicle: router, parameters, missions, commands, replay, logs, keys.
 
 pub mod bridge;
 pub mod command;
 pub mod fleet;
+pub mod identity;
+pub mod key;
 pub mod mission;
 pub mod param;
 pub mod replay;
 pub mod retry;
 pub mod session;
+pub mod tlog;

@@ -28,7 +28,7 @@ use crpl_sitl::link::messages::service::RequestDataStream;
 use crpl_sitl::link::messages::telemetry::LocalPositionNed;
 use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::packet::Packet;
-use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM};
+use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO};
 use crpl_sitl::radio::message::{Command, Percept};
 
 use super::Foreign;
@@ -37,7 +37,6 @@ use super::tracking::{Tracker, hold_height};
 use crate::flight::FlightEnd;
 use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
-use crate::tools::session::push_heartbeat;
 
 /// The autopilot whose protocol a foreign vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -166,7 +165,7 @@ impl Guide {
             ticks,
             phase: GuidePhase::Waiting,
             since: Duration::ZERO,
-            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
+            station: foreign.identity.encoder(foreign.system.unwrap_or(1)),
             decoder: Decoder::default(),
             fleet: Fleet::paced(foreign.speed),
             commands: CommandQueue::default(),
@@ -251,6 +250,10 @@ impl Guide {
                         .fail(FlightEnd::LinkLost, format!("{news}, and not what --vehicle {name} flies"));
                 }
                 self.system = Some(id);
+                let station = self.foreign.identity.encoder(id);
+                if station.source() != self.station.source() {
+                    self.station = station;
+                }
                 self.request_streams(id, now);
             }
             News::Mode(id, _, mode) if Some(id) == self.system => {
@@ -308,7 +311,7 @@ impl Guide {
     pub fn poll(&mut self, now: Duration) -> Vec<u8> {
         let mut datagram = Vec::new();
         if now >= self.next_beat {
-            push_heartbeat(&mut self.station, &mut datagram);
+            self.foreign.identity.push_heartbeat(&mut self.station, &mut datagram);
             self.next_beat = now + Duration::from_secs(1);
         }
         for news in self.fleet.poll(now) {

@@ -28,6 +28,7 @@ use crate::flight::{Crew, Flight, FlightEnd, Options};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
+use crate::tools::identity::Identity;
 use guide::{ForeignStack, Guide, GuideEvent};
 
 /// Which vehicle, and how.
@@ -39,6 +40,8 @@ pub struct Foreign {
     pub system: Option<u8>,
     /// Speed of its simulator relative to real time.
     pub speed: f64,
+    /// Who flies.
+    pub identity: Identity,
 }
 
 /// Takes the vehicle off and flies `crew` on it.
