@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 use crpl_gcs::flight::foreign::guide::ForeignStack;
-use crpl_gcs::flight::foreign::{self, Foreign};
+use crpl_gcs::flight::foreign::{self, Foreign, FlightPlan};
 use crpl_gcs::flight::{self, Options, world};
 use crpl_gcs::lab::crew::LoggedStation;
 use crpl_gcs::lab::demo::{self, DemoFlight};
@@ -130,6 +130,18 @@ struct Fly {
     /// System id of the vehicle [default: the only one on the link; of a foreign one, the first that is heard]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
+    /// Height of a foreign vehicle's flight above its start, m [default: the scenario's]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    altitude: Option<f64>,
+    /// Side of the square that a foreign vehicle flies in, m [default: the scenario's]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    field: Option<f64>,
+    /// Say where a foreign vehicle would fly, and end
+    #[arg(long)]
+    dry_run: bool,
+    /// Fly a foreign vehicle higher than 50 m, further than 150 m or faster than 10 m/s
+    #[arg(long)]
+    yes: bool,
     /// Speed of a foreign vehicle's simulator relative to real time
     #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
     speed: f64,
@@ -225,7 +237,20 @@ async fn fly(args: Fly) -> Result<()> {
     };
     let foreign = args.vehicle.foreign();
     let (mut session, scenario) = match foreign {
-        Some(_) => (None, Scenario::named(args.scenario.as_deref().unwrap_or("foreign"))?),
+        Some(_) => {
+            let mut scenario = Scenario::named(args.scenario.as_deref().unwrap_or("foreign"))?;
+            scenario.scale.altitude_m = args.altitude.unwrap_or(scenario.scale.altitude_m);
+            scenario.scale.metres_per_unit = args.field.unwrap_or(scenario.scale.metres_per_unit);
+            let plan = FlightPlan::of(&scenario);
+            if args.dry_run {
+                crpl_sitl::outln!("{plan}");
+                return Ok(());
+            }
+            if !args.yes && plan.is_large() {
+                bail!("{plan}: give --yes if it may, or --altitude, --field and another --scenario");
+            }
+            (None, scenario)
+        }
         None => {
             // What is wrong with the file is said before anybody is asked.
             let stated = args.scenario.as_deref().map(Scenario::named).transpose()?;

@@ -168,6 +168,8 @@ pub enum FlightEnd {
     Interrupted(Signal),
     /// The operator has changed the vehicle's mode, and flies.
     TakenOver,
+    /// A failsafe of the vehicle, or a crash, has ended it.
+    Failsafe,
     /// Nothing came for [`Options::timeout`].
     LinkLost,
     /// The vehicle's time has gone back.
@@ -184,6 +186,7 @@ impl FlightEnd {
             Self::Over => "over",
             Self::Interrupted(_) => "interrupted",
             Self::TakenOver => "taken over",
+            Self::Failsafe => "failsafe",
             Self::LinkLost => "link lost",
             Self::Rebooted => "rebooted",
             Self::ForeignSetpoint => "foreign setpoint",
@@ -200,6 +203,7 @@ impl FlightEnd {
             Self::TakenOver => Some(4),
             Self::Rebooted => Some(5),
             Self::ForeignSetpoint => Some(6),
+            Self::Failsafe => Some(8),
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::tools::session::Exchange;
 
 /// Silence in a list after which what is missing is asked for, until the pace of the link is known; then so many
 /// times the time between two values, within these bounds.
-const PAUSE: Duration = Duration::from_millis(1000);
+const PAUSE: Duration = Duration::from_millis(2500);
 const PAUSES: f64 = 5.0;
 const PAUSE_BOUNDS: [f64; 2] = [0.2, 10.0];
 /// Missing parameters that are asked for at a time: no more than come in this many seconds.
@@ -340,6 +340,8 @@ impl Exchange for Set {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::VecDeque;
+
     use crpl_sitl::link::decoder::Decoder;
     use crpl_sitl::link::messages::param::ParamRequestRead;
     use crpl_sitl::world::noise::{Noise, Stream};
