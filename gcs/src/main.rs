@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 use crpl_gcs::flight::foreign::guide::ForeignStack;
-use crpl_gcs::flight::foreign::{self, Foreign, FlightPlan};
+use crpl_gcs::flight::foreign::{self, FlightPlan, Foreign};
 use crpl_gcs::flight::{self, Options, world};
 use crpl_gcs::lab::crew::LoggedStation;
 use crpl_gcs::lab::demo::{self, DemoFlight};

@@ -114,7 +114,12 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
     let path = args.out.join("config.toml");
     std::fs::write(&path, toml::to_string(&config)?)
         .with_context(|| format!("writing {}", path.display()))?;
-    crpl_sitl::outln!("{} episodes of {} actions in {}", episodes.len(), config.data.steps, args.out.display());
+    crpl_sitl::outln!(
+        "{} episodes of {} actions in {}",
+        episodes.len(),
+        config.data.steps,
+        args.out.display()
+    );
     Ok(())
 }
 
@@ -171,7 +176,11 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
         let name = network.kind().name();
         let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
-        crpl_sitl::outln!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
+        crpl_sitl::outln!(
+            "{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier",
+            px(last),
+            px(before)
+        );
     }
     if let Some(bounds) = trained.networks.bounds {
         crpl_sitl::outln!("bounded: {}", predictors::in_px(&bounds, &model));

@@ -247,7 +247,8 @@ impl Autopilot {
             Stack::ArduPilot
                 if self.controlled()
                     && matches!(self.wish, Wish::Accel(_) | Wish::Speed(..))
-                    && silent > 3.0 => {
+                    && silent > 3.0 =>
+            {
                 self.wish = Wish::Stop;
                 self.starved = true;
             }

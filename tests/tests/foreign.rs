@@ -8,9 +8,9 @@ use std::time::Duration;
 use crpl_gcs::flight::foreign::Foreign;
 use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
-use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_gcs::tools::identity::Identity;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
@@ -177,7 +177,9 @@ fn a_mode_that_is_changed_during_the_climb_ends_the_flight() {
 /// Report A10: failsafes and crashes were "the operator has taken over".
 #[test]
 fn a_failsafe_and_a_crash_are_not_the_operator_s_doing() {
-    for (text, mode) in [("Battery Failsafe", Some(6)), ("Fence Breached", Some(17)), ("Crash: Disarming", None)] {
+    for (text, mode) in
+        [("Battery Failsafe", Some(6)), ("Fence Breached", Some(17)), ("Crash: Disarming", None)]
+    {
         let mut done = false;
         let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
             if !done && autopilot.accelerations > 100 {
@@ -242,8 +244,12 @@ fn a_large_flight_needs_a_yes_and_says_where_it_goes() {
     let large = ["fly", "--vehicle", "ardupilot", "--connect", "udpout:127.0.0.1:9", "--scenario"];
     let refused = program::run("gcs", &[&large[..], &["configs/scenario2.toml"]].concat()).unwrap();
     assert_eq!(refused.status.code(), Some(1));
-    assert!(refused.stderr.contains("would climb to 100 m") && refused.stderr.contains("--yes"), "{refused:?}");
-    let dry = program::run("gcs", &[&large[..], &["foreign", "--dry-run", "--altitude", "7"]].concat()).unwrap();
+    assert!(
+        refused.stderr.contains("would climb to 100 m") && refused.stderr.contains("--yes"),
+        "{refused:?}"
+    );
+    let dry =
+        program::run("gcs", &[&large[..], &["foreign", "--dry-run", "--altitude", "7"]].concat()).unwrap();
     assert!(dry.good().unwrap().contains("would climb to 7 m and fly in a square of 60 m"));
 }
 

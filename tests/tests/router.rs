@@ -170,7 +170,8 @@ async fn a_vehicle_on_a_serial_line_is_heard_and_spoken_to() {
 fn a_companion_has_the_vehicle_s_system_and_is_no_station() {
     let mut vehicle = Peer::new(9, 1);
     let endpoint = vehicle.endpoint();
-    let args = ["param", "--connect", &endpoint, "--sysid", "9", "--role", "companion", "--timeout", "60", "list"];
+    let args =
+        ["param", "--connect", &endpoint, "--sysid", "9", "--role", "companion", "--timeout", "60", "list"];
     let _gcs = Program::start("gcs", &args, None).unwrap();
     let (beat, from) = vehicle.hear(Packet::is::<HEARTBEAT_DATA>);
     assert_eq!((beat.system, beat.component), (9, 191));
@@ -210,7 +211,13 @@ fn a_broadcast_is_heard_by_whoever_listens() {
 #[test]
 fn a_host_without_an_address_is_looked_up_again_and_ends_nothing() {
     let mut station = Peer::new(255, 190);
-    let args = ["--connect", "udpin:127.0.0.1:0", "--forward", "udpout:no-such-host.invalid:14550", &station.endpoint()];
+    let args = [
+        "--connect",
+        "udpin:127.0.0.1:0",
+        "--forward",
+        "udpout:no-such-host.invalid:14550",
+        &station.endpoint(),
+    ];
     let bridge = bridge(&args);
     let address = listens(&bridge, "vehicle");
     bridge.logs("looking up `no-such-host.invalid`").unwrap();
@@ -238,7 +245,8 @@ fn two_equal_endpoints_are_two_series_and_head_is_answered() {
         text
     };
     let text = ask("GET");
-    let mut series: Vec<_> = text.lines().filter_map(|line| line.rsplit_once(' ')).map(|(name, _)| name).collect();
+    let mut series: Vec<_> =
+        text.lines().filter_map(|line| line.rsplit_once(' ')).map(|(name, _)| name).collect();
     let all = series.len();
     series.sort_unstable();
     series.dedup();

@@ -344,7 +344,10 @@ fn plans_and_texts_as_people_have_them_are_uploaded_or_refused_in_words() {
     for text in [plan("488", item), plan("488", "")] {
         let finished = upload(&text, &[]);
         let said = format!("{} {}", finished.stdout, finished.stderr);
-        assert!(said.contains("fence: 1 items uploaded") || said.contains("its fence is not uploaded"), "{said}");
+        assert!(
+            said.contains("fence: 1 items uploaded") || said.contains("its fence is not uploaded"),
+            "{said}"
+        );
         assert_eq!(finished.status.success(), said.contains("rally points: 1 items uploaded"), "{said}");
     }
 }
@@ -355,11 +358,15 @@ fn a_parameter_file_s_lines_go_to_their_own_components() {
     let folder = tempfile::tempdir().unwrap();
     let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
     let file = folder.path().join("two.params");
-    let lines = "# Vehicle-Id Component-Id Name Value Type\n1\t1\tRATE_ATTITUDE\t7\t9\n1\t68\tRADIO_TXP\t4\t6\n";
+    let lines =
+        "# Vehicle-Id Component-Id Name Value Type\n1\t1\tRATE_ATTITUDE\t7\t9\n1\t68\tRADIO_TXP\t4\t6\n";
     std::fs::write(&file, lines).unwrap();
     let loaded = good(address, &["param", "load", file.to_str().unwrap()]);
     assert!(loaded.contains("2 set, 0 as they were, 0 refused"), "{loaded}");
-    assert_eq!(good(address, &["param", "--component", "68", "get", "RADIO_TXP"]).trim(), "RADIO_TXP        4");
+    assert_eq!(
+        good(address, &["param", "--component", "68", "get", "RADIO_TXP"]).trim(),
+        "RADIO_TXP        4"
+    );
     std::fs::write(&file, format!("{lines}2\t1\tRATE_ATTITUDE\t11\t9\n")).unwrap();
     let finished = gcs(address, &["param", "load", file.to_str().unwrap()]);
     assert!(finished.stdout.contains("1 parameters are for system 2"), "{finished:?}");

@@ -30,8 +30,8 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
-use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::GPS;
+use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Counts;

@@ -163,7 +163,13 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
         crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    crpl_sitl::outln!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed);
+    crpl_sitl::outln!(
+        "{}, {}, {} flights from seed {}",
+        row.controller,
+        row.scenario,
+        row.episodes,
+        row.first_seed
+    );
     let of_all = |share: f64| format!("{:.0} of {}", share * row.episodes as f64, row.episodes);
     if row.distinct == 1 && row.episodes > 1 {
         crpl_sitl::outln!(

@@ -153,7 +153,9 @@ pub fn run(args: &Optimise) -> Result<()> {
         let o = outcome;
         crpl_sitl::outln!(
             "P_safe {:.4}, P_comm {:.4} at full power, J {:.4}",
-            o.motion.p_safe, o.motion.p_comm, o.motion.j
+            o.motion.p_safe,
+            o.motion.p_comm,
+            o.motion.j
         );
         crpl_sitl::outln!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
         crpl_sitl::out!("{flown}");
@@ -171,7 +173,9 @@ fn compare_limits(
     args: &Optimise,
 ) -> Result<()> {
     if !args.json {
-        crpl_sitl::outln!("limits     J right   J left    margin             P_safe   P_safe flown  d_f flown");
+        crpl_sitl::outln!(
+            "limits     J right   J left    margin             P_safe   P_safe flown  d_f flown"
+        );
     }
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         let config = OptimiseConfig { limits, ..config.clone() };
@@ -180,7 +184,10 @@ fn compare_limits(
         let (outcome, flown) = (&made.outcome, &made.flown);
         let c = &outcome.comparison;
         if args.json {
-            crpl_sitl::outln!("{}", serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown}));
+            crpl_sitl::outln!(
+                "{}",
+                serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown})
+            );
         } else {
             crpl_sitl::outln!(
                 "{:<9} {:>8.4}  {:>8.4}  {:+.4} +- {:.4}  {:>8.4}   {:>8.4}      {:.4}",

@@ -38,7 +38,8 @@ pub fn run(args: &KeyArgs) -> Result<()> {
                 bail!("{}: there is a file of this name; a key is never replaced", file.display());
             }
             let mut bytes = [0; 32];
-            getrandom::fill(&mut bytes).map_err(|error| anyhow!("the system gives no random bytes: {error}"))?;
+            getrandom::fill(&mut bytes)
+                .map_err(|error| anyhow!("the system gives no random bytes: {error}"))?;
             let key = Key::new(bytes).context("the system gives no random bytes")?;
             let fingerprint = key.fingerprint();
             Store::new(file).save(&Signing::new(Some(key), Policy::Required), true)?;

@@ -56,7 +56,14 @@ impl LinkFlags {
     /// The autopilot of the only vehicle at this endpoint.
     #[must_use]
     pub fn to(connect: Endpoint) -> Self {
-        Self { connect, sysid: None, component: AUTOPILOT, signing_key: None, timeout: 10, identity: Identity::default() }
+        Self {
+            connect,
+            sysid: None,
+            component: AUTOPILOT,
+            signing_key: None,
+            timeout: 10,
+            identity: Identity::default(),
+        }
     }
 }
 
@@ -153,12 +160,9 @@ impl Session {
             let heard = heard.join(", ");
             match (link.sysid, &systems[..]) {
                 (None, &[only]) => return Ok(only),
-                (_, []) => bail!(
-                    "{}: no vehicle heard for {} s: {}",
-                    link.connect,
-                    link.timeout,
-                    self.silence(link)
-                ),
+                (_, []) => {
+                    bail!("{}: no vehicle heard for {} s: {}", link.connect, link.timeout, self.silence(link))
+                }
                 (None, _) => bail!("{}: vehicles {heard} are there: choose one by --sysid", link.connect),
                 (Some(id), _) => bail!("{}: no vehicle {id}; heard: {heard}", link.connect),
             }
@@ -179,7 +183,8 @@ impl Session {
                 key.display()
             ),
             (_, _, None) => {
-                "is one there, does it speak on that port, and does it want signatures (--signing-key)?".into()
+                "is one there, does it speak on that port, and does it want signatures (--signing-key)?"
+                    .into()
             }
         }
     }

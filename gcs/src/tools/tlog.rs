@@ -177,8 +177,7 @@ impl TlogInfo {
         let mut last = None;
         for (after, frame) in &frames {
             info.seconds = after.as_secs_f64();
-            info.clock_set +=
-                u64::from(last.is_some_and(|before| pause(before, frame.time_us).is_none()));
+            info.clock_set += u64::from(last.is_some_and(|before| pause(before, frame.time_us).is_none()));
             last = Some(frame.time_us);
             let packet = &frame.packet;
             *info.senders.entry(format!("{}/{}", packet.system, packet.component)).or_default() += 1;

@@ -206,7 +206,9 @@ impl FromStr for SerialLine {
     /// `DEVICE:BAUD`, `DEVICE,BAUD` or `DEVICE`.
     fn from_str(text: &str) -> Result<Self, &'static str> {
         let (device, baud) = match text.rsplit_once([':', ',']) {
-            Some((device, baud)) => (device, baud.parse().map_err(|_| "the baud rate is not a whole number")?),
+            Some((device, baud)) => {
+                (device, baud.parse().map_err(|_| "the baud rate is not a whole number")?)
+            }
             None => (text, BAUD),
         };
         match (device, baud) {
@@ -257,9 +259,9 @@ impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Serial(SerialLine { device, baud }) => write!(f, "serial:{device}:{baud}"),
-            _ => self.place().map_or(Ok(()), |HostPort { host, port }| {
-                write!(f, "{}:{host}:{port}", self.scheme())
-            }),
+            _ => self
+                .place()
+                .map_or(Ok(()), |HostPort { host, port }| write!(f, "{}:{host}:{port}", self.scheme())),
         }
     }
 }

@@ -160,7 +160,11 @@ impl<'a> Iterator for TlogReader<'a> {
             self.counts.unknown += u64::from(fits.is_none());
             self.counts.bad_crc += u64::from(fits == Some(false));
             self.at += STAMP + raw.len();
-            return Some(LogFrame { at, time_us, packet: PacketRef::new(raw, header.id, fits == Some(true)) });
+            return Some(LogFrame {
+                at,
+                time_us,
+                packet: PacketRef::new(raw, header.id, fits == Some(true)),
+            });
         }
         let left = (self.at - begin) as u64;
         let rest = &self.bytes[begin.min(self.bytes.len())..];

@@ -23,8 +23,9 @@ use clap::ValueEnum;
 use crpl_sitl::Scenario;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
-    ATTITUDE_DATA, BATTERY_STATUS_DATA, COMMAND_LONG_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA, LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity,
-    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA, SYS_STATUS_DATA,
+    ATTITUDE_DATA, BATTERY_STATUS_DATA, COMMAND_LONG_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA,
+    LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity, PositionTargetTypemask,
+    SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA, SYS_STATUS_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::service::{RequestDataStream, Timesync};
@@ -456,7 +457,8 @@ impl Guide {
         now: Duration,
     ) {
         match request.command {
-            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if request.params[0] != LOCAL_POSITION_NED_DATA::ID as f32 => {}
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL
+                if request.params[0] != LOCAL_POSITION_NED_DATA::ID as f32 => {}
             MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if result != CommandResult::Accepted => {
                 self.say(format!("message interval {result}: asking for data streams"));
                 let (system, component) = request.target;
@@ -486,15 +488,13 @@ impl Guide {
                 self.events.extend(self.system.map(GuideEvent::TakeControl));
             }
             (GuidePhase::Arm, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM) => self.enter(GuidePhase::Climb, now),
-            (GuidePhase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => {
-                match self.failing.take() {
-                    Some((how, why)) => self.fail(how, format!("{why}; it holds its place")),
-                    None => {
-                        self.phase = GuidePhase::Done;
-                        self.events.push_back(GuideEvent::Holding);
-                    }
+            (GuidePhase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => match self.failing.take() {
+                Some((how, why)) => self.fail(how, format!("{why}; it holds its place")),
+                None => {
+                    self.phase = GuidePhase::Done;
+                    self.events.push_back(GuideEvent::Holding);
                 }
-            }
+            },
             _ => {}
         }
     }

@@ -227,7 +227,10 @@ pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()
         }
     } else {
         crpl_sitl::out!("{}", table::text(&folder.plan, &rows));
-        crpl_sitl::outln!("\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}", folder.dir().display());
+        crpl_sitl::outln!(
+            "\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
+            folder.dir().display()
+        );
     }
     Ok(())
 }

@@ -107,7 +107,9 @@ mod tests {
         let good = get(address, "GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n").await;
         assert!(good.starts_with("HTTP/1.1 200 OK\r\n") && good.ends_with("\r\n\r\nx_total 1\n"), "{good}");
         let head = get(address, "HEAD /metrics HTTP/1.1\r\n\r\n").await;
-        assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("Length: 10\r\nConnection: close\r\n\r\n"));
+        assert!(
+            head.starts_with("HTTP/1.1 200") && head.ends_with("Length: 10\r\nConnection: close\r\n\r\n")
+        );
         assert!(get(address, "GET / HTTP/1.1\r\n\r\n").await.starts_with("HTTP/1.1 404"));
         assert!(get(address, "POST /metrics HTTP/1.1\r\n\r\n").await.starts_with("HTTP/1.1 405"));
         assert!(get(address, &"x".repeat(2 * HEAD)).await.is_empty());

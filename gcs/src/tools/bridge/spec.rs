@@ -78,7 +78,9 @@ mod tests {
     #[test]
     fn rules_stand_behind_the_endpoint() {
         let spec: EndpointSpec =
-            "serial:/dev/ttyUSB0:57600?group=radio&rate=2000&drop=ATTITUDE,105&only-from=heartbeat".parse().unwrap();
+            "serial:/dev/ttyUSB0:57600?group=radio&rate=2000&drop=ATTITUDE,105&only-from=heartbeat"
+                .parse()
+                .unwrap();
         let expected = LinkRules {
             group: Some("radio".into()),
             rate: Some(2000.0),

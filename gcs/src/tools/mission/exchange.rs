@@ -203,7 +203,14 @@ impl Download {
     #[must_use]
     pub fn of(kind: ListKind, target: (u8, u8)) -> Self {
         let question = Question::default();
-        Self { talk: Talk::about(kind, target), count: None, items: Vec::new(), question, old: false, thanked: false }
+        Self {
+            talk: Talk::about(kind, target),
+            count: None,
+            items: Vec::new(),
+            question,
+            old: false,
+            thanked: false,
+        }
     }
 
     fn whole(&self) -> bool {
@@ -218,8 +225,8 @@ impl Exchange for Download {
         if !self.question.retry.asked() || self.whole() {
             return;
         }
-        let count = MissionCount::of(packet)
-            .filter(|count| self.talk.is(packet, count.target, count.mission_type));
+        let count =
+            MissionCount::of(packet).filter(|count| self.talk.is(packet, count.target, count.mission_type));
         if let Some(MissionCount { count, .. }) = count {
             if self.count.is_none() {
                 self.count = Some(count);

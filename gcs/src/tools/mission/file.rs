@@ -64,7 +64,10 @@ impl MissionPlan {
         let first = if home_first { -1.0 } else { 0.0 };
         for (k, item) in self.items.iter().enumerate().filter(|(_, item)| item.command == DO_JUMP) {
             let to = item.params[0];
-            ensure!((first..self.items.len() as f32).contains(&to), "item {k} jumps to an item that is not there");
+            ensure!(
+                (first..self.items.len() as f32).contains(&to),
+                "item {k} jumps to an item that is not there"
+            );
         }
         let mut items = Vec::new();
         if home_first {
@@ -222,9 +225,9 @@ fn parse(text: &str) -> Result<MissionPlan> {
     for (number, line) in lines {
         items.push(wpl_item(line).with_context(|| format!("line {number}"))?);
     }
-    let is_home = items.first().is_some_and(|first: &Item| {
-        first.command == NAV_WAYPOINT && first.frame == FRAME_GLOBAL
-    });
+    let is_home = items
+        .first()
+        .is_some_and(|first: &Item| first.command == NAV_WAYPOINT && first.frame == FRAME_GLOBAL);
     Ok(MissionPlan::downloaded(items, is_home))
 }
 

@@ -114,7 +114,8 @@ impl List {
     fn measure(&mut self, now: Duration) {
         if let Some(last) = self.last.replace(now) {
             let gap = now.saturating_sub(last).as_secs_f64();
-            self.gap = Some(self.gap.map_or(gap, |known| known + 0.2 * (gap.min(4.0 * known + 0.05) - known)));
+            self.gap =
+                Some(self.gap.map_or(gap, |known| known + 0.2 * (gap.min(4.0 * known + 0.05) - known)));
         }
     }
 

@@ -44,7 +44,9 @@ fn parse(text: &str) -> Result<Vec<Line>> {
             [] => continue,
             [name, value] => (name, value, None),
             [system, component, name, value, _] => {
-                let id = |text: &str| text.parse::<u8>().with_context(|| format!("line {}: `{text}` is no id", k + 1));
+                let id = |text: &str| {
+                    text.parse::<u8>().with_context(|| format!("line {}: `{text}` is no id", k + 1))
+                };
                 (name, value, Some((id(system)?, id(component)?)))
             }
             _ => bail!("line {}: expected NAME VALUE, found `{}`", k + 1, line.trim()),

@@ -174,9 +174,7 @@ type Dialling = Pin<Box<dyn Future<Output = io::Result<LinkStream>> + Send>>;
 /// Makes a stream; a name is looked up each time.
 async fn dial(endpoint: Endpoint) -> io::Result<LinkStream> {
     match (&endpoint, endpoint.place()) {
-        (Endpoint::Serial(line), _) => {
-            Ok(LinkStream::serial(SerialPort::open(&line.device, line.baud)?))
-        }
+        (Endpoint::Serial(line), _) => Ok(LinkStream::serial(SerialPort::open(&line.device, line.baud)?)),
         (_, Some(place)) => Ok(LinkStream::tcp(TcpStream::connect(place.address().await?).await?)),
         (_, None) => Err(io::Error::other("it has no place")),
     }

@@ -67,7 +67,8 @@ impl Key {
     /// it, in hexadecimal.
     #[must_use]
     pub fn fingerprint(&self) -> String {
-        let digest = Sha256::new().chain_update(b"MAVLink signing key fingerprint").chain_update(self.0).finalize();
+        let digest =
+            Sha256::new().chain_update(b"MAVLink signing key fingerprint").chain_update(self.0).finalize();
         to_hex(&digest[..8])
     }
 
