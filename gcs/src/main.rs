@@ -277,7 +277,9 @@ async fn fly(args: Fly) -> Result<()> {
     let flown = match (foreign, session) {
         (Some(stack), _) => {
             let how = Foreign { stack, system: args.sysid, speed: args.speed, identity: args.identity };
-            foreign::fly(&args.connect, &scenario, &how, &options, &mut crew).await?
+            let flown;
+            (flown, crew) = foreign::fly(&args.connect, &scenario, &how, &options, crew).await?;
+            flown
         }
         (None, Some(session)) => flight::fly_on(session, &scenario, &options, &mut crew).await?,
         (None, None) => flight::fly(&args.connect, &scenario, &options, &mut crew).await?,

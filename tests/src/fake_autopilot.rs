@@ -197,6 +197,12 @@ impl Autopilot {
         self.position
     }
 
+    /// Level, m/s.
+    #[must_use]
+    pub fn speed(&self) -> f64 {
+        self.velocity[0].hypot(self.velocity[1])
+    }
+
     /// HEARTBEAT.custom_mode.
     #[must_use]
     pub fn mode(&self) -> u32 {

@@ -196,6 +196,46 @@ fn a_failsafe_and_a_crash_are_not_the_operator_s_doing() {
     }
 }
 
+/// Report A7: a slow controller left the vehicle without a setpoint for 3 s, at 8.8 m/s.
+#[test]
+fn a_late_decision_keeps_the_setpoints_coming_and_the_vehicle_brakes() {
+    let scenario = scenario();
+    let models = Models::load(None, None).unwrap();
+    let mut station = models.station(Controller::Crpl, &scenario).unwrap();
+    let mut autopilot = Autopilot::new(Stack::ArduPilot, [0.0; 2], false);
+    let stack = guide::ForeignStack::Ardupilot;
+    let how = Foreign { stack, system: None, speed: 1.0, identity: Identity::default() };
+    let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
+    // The fifth decision takes six seconds.
+    let (mut asked, mut held, mut during) = (0, None, None);
+    let (mut slowest, mut after) = (f64::INFINITY, 0);
+    for k in 0_u32..6_000 {
+        let now = Duration::from_millis(10) * k;
+        guide.datagram(&autopilot.advance(now.as_secs_f64(), 1.0), now);
+        if let Some((since, percept)) = held.take_if(|(since, _)| now > *since + Duration::from_secs(6)) {
+            let _: Duration = since;
+            during = Some(autopilot.accelerations - during.unwrap_or(0));
+            slowest = autopilot.speed();
+            autopilot.datagram(&guide.fly(&station.handle(&percept), now));
+        }
+        autopilot.datagram(&guide.poll(now));
+        while let Some(event) = guide.take() {
+            let GuideEvent::Percept(percept) = event else { continue };
+            asked += 1;
+            if asked == 5 {
+                during = Some(autopilot.accelerations);
+                held = Some((now, percept));
+            } else {
+                after += u32::from(asked > 5);
+                autopilot.datagram(&guide.fly(&station.handle(&percept), now));
+            }
+        }
+    }
+    assert!(during.unwrap() > 60, "{during:?} setpoints in 6 s");
+    assert!(slowest < 0.3, "{slowest} m/s");
+    assert!(after > 3, "the flight goes on: {after}");
+}
+
 /// Report A9: "takeoff failed" for 90 s on a vehicle that flew already.
 #[test]
 fn a_vehicle_that_flies_already_is_brought_to_its_height() {

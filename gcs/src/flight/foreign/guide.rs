@@ -193,6 +193,9 @@ pub struct Guide {
     left: String,
     /// It flew when it was found.
     airborne: bool,
+    /// A command to the newest percept has not come yet, and is late.
+    undecided: bool,
+    late: bool,
     /// Round trips, s of the vehicle's time, newest last, and when the next is measured.
     trips: VecDeque<f64>,
     next_trip: Duration,
@@ -234,6 +237,8 @@ impl Guide {
             failing: None,
             left: String::new(),
             airborne: false,
+            undecided: false,
+            late: false,
             trips: VecDeque::new(),
             next_trip: Duration::ZERO,
             first_trip: None,
@@ -673,6 +678,15 @@ impl Guide {
         }
         let period = self.period();
         let Some(scene) = self.scene.as_mut().filter(|_| place.boot >= self.next_tick) else { return };
+        if self.undecided {
+            // The controller is not ready: an interval passes without it, and the vehicle brakes meanwhile.
+            scene.skip();
+            self.next_tick += period;
+            if !std::mem::replace(&mut self.late, true) {
+                self.say("the controller's decision is late: the vehicle brakes until it is there".into());
+            }
+            return;
+        }
         let ([north, east, _], [vn, ve, _]) = (place.position, place.velocity);
         self.next_tick += period;
         while place.boot >= self.next_tick {
@@ -690,6 +704,7 @@ impl Guide {
             self.enter(GuidePhase::Braking, now);
             self.events.push_back(GuideEvent::Over(percept));
         } else {
+            self.undecided = true;
             self.events.push_back(GuideEvent::Percept(percept));
         }
     }
@@ -703,6 +718,7 @@ impl Guide {
     pub fn fly(&mut self, command: &Command, now: Duration) -> Vec<u8> {
         let mut datagram = Vec::new();
         let (Some(scene), Some(system)) = (self.scene.as_mut(), self.system) else { return datagram };
+        (self.undecided, self.late) = (false, false);
         self.wish = scene.pass(command);
         if self.fleet.get(system).is_some_and(|vehicle| vehicle.components.contains(&RADIO)) {
             let power = COMMAND_LONG_DATA {
@@ -717,6 +733,11 @@ impl Guide {
         self.next_setpoint = now;
         self.setpoint(now, &mut datagram);
         datagram
+    }
+
+    /// The controller decides nothing any more.
+    pub fn controller_failed(&mut self, now: Duration) {
+        self.fail_held(FlightEnd::LinkLost, "the controller has failed".into(), now);
     }
 
     /// Makes the vehicle stay where it is: [`GuideEvent::Holding`] once it has acknowledged that. Whether there
@@ -783,7 +804,8 @@ impl Guide {
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);
                 let here = [place.position[0], place.position[1]];
                 let room = self.scene.as_ref().map_or([[f64::INFINITY; 2]; 2], |scene| scene.room(here));
-                let asked = self.tracker.step(self.wish, velocity, room, dt);
+                let wish = if self.late { self.tracker.against(dt) } else { self.wish };
+                let asked = self.tracker.step(wish, velocity, room, dt);
                 [message.vx, message.vy] = asked.velocity.map(|v| v as f32);
                 [message.afx, message.afy] = asked.accel.map(|a| a as f32);
                 message.vz = hold_height(f64::from(place.position[2]), self.height()) as f32;

@@ -15,13 +15,17 @@ pub mod guide;
 pub mod scene;
 pub mod tracking;
 
+use std::path::PathBuf;
 use std::pin::pin;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::terminal::{self, Signal};
+use crpl_sitl::radio::message::{Command, Percept};
+use tokio::sync::mpsc;
 use tokio::time::{Instant, interval, sleep_until};
 
 use crate::flight::{Crew, Flight, FlightEnd, Options};
@@ -89,12 +93,63 @@ impl std::fmt::Display for FlightPlan {
 ///
 /// # Errors
 /// Whatever keeps the flight from beginning; later events are in [`Flight::ended`].
-pub async fn fly(
+pub async fn fly<C: Crew + Send + 'static>(
     connect: &Endpoint,
     scenario: &Scenario,
     foreign: &Foreign,
     options: &Options,
-    crew: &mut impl Crew,
+    crew: C,
+) -> Result<(Flight, C)> {
+    let mut bench = ControllerThread::seat(crew);
+    let flight = fly_with(connect, scenario, foreign, options, &mut bench).await?;
+    Ok((flight, bench.rise()?))
+}
+
+/// A crew on a thread of its own: a slow decision holds up neither setpoints nor heartbeats.
+struct ControllerThread<C> {
+    ask: std::sync::mpsc::Sender<Percept>,
+    answers: mpsc::UnboundedReceiver<Result<Decision>>,
+    thread: JoinHandle<C>,
+}
+
+/// A command, and the tlog if this is the first.
+struct Decision {
+    command: Command,
+    tlog: Option<PathBuf>,
+}
+
+impl<C: Crew + Send + 'static> ControllerThread<C> {
+    fn seat(mut crew: C) -> Self {
+        let (ask, asked) = std::sync::mpsc::channel::<Percept>();
+        let (answer, answers) = mpsc::unbounded_channel();
+        let thread = std::thread::spawn(move || {
+            let mut first = true;
+            for percept in asked {
+                let tlog = if std::mem::take(&mut first) { crew.begin() } else { Ok(None) };
+                let decision = tlog.map(|tlog| Decision { command: crew.command(&percept), tlog });
+                if answer.send(decision).is_err() {
+                    break;
+                }
+                crew.sent();
+            }
+            crew
+        });
+        Self { ask, answers, thread }
+    }
+
+    /// The crew again, when it has finished what it does.
+    fn rise(self) -> Result<C> {
+        drop(self.ask);
+        self.thread.join().map_err(|_| anyhow!("the controller has failed"))
+    }
+}
+
+async fn fly_with<C>(
+    connect: &Endpoint,
+    scenario: &Scenario,
+    foreign: &Foreign,
+    options: &Options,
+    bench: &mut ControllerThread<C>,
 ) -> Result<Flight> {
     let mut hub = options.open(connect).await?;
     let ticks = options.ticks.unwrap_or(scenario.horizon);
@@ -102,6 +157,7 @@ pub async fn fly(
     let start = Instant::now();
     let mut flight = Flight::default();
     let mut begun = None;
+    let mut arrived = Instant::now();
     let mut interrupted = pin!(terminal::interrupted());
     // The signal that ends the flight, and how long the vehicle is asked to hold its place.
     let mut stopping: Option<(Signal, Duration)> = None;
@@ -116,19 +172,12 @@ pub async fn fly(
                 GuideEvent::Say(text) => tracing::info!("{text}"),
                 GuideEvent::TakeControl(system) => hub.take_control(Some(system)),
                 GuideEvent::Percept(percept) => {
-                    if begun.is_none()
-                        && let Some(tlog) = crew.begin()?
-                    {
-                        hub.log_to(&tlog)?;
-                    }
-                    let arrived = Instant::now();
-                    let command = crew.command(&percept);
-                    let datagram = guide.fly(&command, start.elapsed());
-                    hub.send(&datagram).await;
-                    flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                    arrived = Instant::now();
                     flight.wall = arrived - *begun.get_or_insert(arrived);
-                    flight.last = Some(percept);
-                    crew.sent();
+                    flight.last = Some(percept.clone());
+                    if bench.ask.send(percept).is_err() {
+                        guide.controller_failed(start.elapsed());
+                    }
                 }
                 GuideEvent::Over(percept) => flight.last = Some(percept),
                 GuideEvent::Holding => {
@@ -168,6 +217,15 @@ pub async fn fly(
         tokio::select! {
             () = hub.turn() => {}
             () = sleep_until(due) => {}
+            Some(decision) = bench.answers.recv() => {
+                let Decision { command, tlog } = decision?;
+                if let Some(tlog) = tlog {
+                    hub.log_to(&tlog)?;
+                }
+                let datagram = guide.fly(&command, start.elapsed());
+                hub.send(&datagram).await;
+                flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+            }
             signal = &mut interrupted => {
                 let now = start.elapsed();
                 if stopping.is_some() || !guide.let_go(now) {

@@ -23,7 +23,7 @@ pub struct Tracker {
 
 /// What to ask for, north and east: m/s and m/s².
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Asked {
+pub struct Steering {
     /// Speed.
     pub velocity: [f64; 2],
     /// Acceleration.
@@ -37,10 +37,18 @@ impl Tracker {
         Self { reference: [0.0; 2], v_max }
     }
 
+    /// The acceleration against the speed that is asked for, m/s²: none beyond its end within `dt` seconds.
+    #[must_use]
+    pub fn against(&self, dt: f64) -> [f64; 2] {
+        let speed = self.reference[0].hypot(self.reference[1]);
+        let deceleration = BRAKING.min(speed / dt.max(1e-3));
+        self.reference.map(|v| if speed > 0.0 { -v * deceleration / speed } else { 0.0 })
+    }
+
     /// `dt` seconds pass with the acceleration `wish`, at the speed `velocity`; what to ask for.
     /// `room` is how far it is to the edges on each axis, downwards and upwards, m: as the paper's walls
     /// do, they end the speed towards them.
-    pub fn step(&mut self, mut wish: [f64; 2], velocity: [f64; 2], room: [[f64; 2]; 2], dt: f64) -> Asked {
+    pub fn step(&mut self, mut wish: [f64; 2], velocity: [f64; 2], room: [[f64; 2]; 2], dt: f64) -> Steering {
         for axis in 0..2 {
             let reference = self.reference[axis] + wish[axis] * dt;
             self.reference[axis] =
@@ -58,7 +66,7 @@ impl Tracker {
                 (self.reference[axis], wish[axis]) = (allowed, 0.0);
             }
         }
-        Asked { velocity: self.reference, accel: wish }
+        Steering { velocity: self.reference, accel: wish }
     }
 }
 

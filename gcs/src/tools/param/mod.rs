@@ -136,7 +136,7 @@ async fn set(
 
 /// What became of the lines of a file.
 #[derive(Debug, Default)]
-struct Tally {
+struct LoadTally {
     changed: usize,
     same: usize,
     refused: usize,
@@ -148,7 +148,7 @@ async fn load(session: &mut Session, wanted: &[file::Line], encoding: Encoding) 
     for line in wanted {
         by_component.entry(line.of.unwrap_or(target)).or_default().push(line);
     }
-    let mut tally = Tally::default();
+    let mut tally = LoadTally::default();
     for (of, lines) in by_component {
         if of.0 != target.0 {
             let (first, count) = (lines[0].number, lines.len());
@@ -162,7 +162,7 @@ async fn load(session: &mut Session, wanted: &[file::Line], encoding: Encoding) 
         }
         load_component(session, &lines, of, encoding, &mut tally).await?;
     }
-    let Tally { changed, same, refused } = tally;
+    let LoadTally { changed, same, refused } = tally;
     crpl_sitl::outln!("{changed} set, {same} as they were, {refused} refused");
     if refused > 0 {
         bail!("{refused} of {} parameters were not set", wanted.len());
@@ -177,7 +177,7 @@ async fn load_component(
     lines: &[&file::Line],
     of: (u8, u8),
     encoding: Encoding,
-    tally: &mut Tally,
+    tally: &mut LoadTally,
 ) -> Result<()> {
     let mut left: Vec<&file::Line> = lines.to_vec();
     loop {
@@ -210,7 +210,7 @@ async fn load_line(
     param: &Param,
     of: (u8, u8),
     encoding: Encoding,
-    tally: &mut Tally,
+    tally: &mut LoadTally,
 ) {
     let done = match Number::parse(&line.value, param.kind) {
         Ok(value) if value == param.value => {

@@ -45,7 +45,7 @@ impl LinkSet {
 
 /// What a frame is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verdict {
+pub(super) enum CopyVerdict {
     /// It comes for the first time, and is to be passed on.
     New,
     /// It came before; whether it went out on the very link that brings it now.
@@ -115,7 +115,7 @@ impl History {
         counts: bool,
         now: Duration,
         within: Duration,
-    ) -> Verdict {
+    ) -> CopyVerdict {
         self.make_room(&key);
         let past = self.sources.entry(key).or_default();
         let print = fingerprint(0, raw);
@@ -124,14 +124,14 @@ impl History {
             if let Some(&of) = copies.iter().find(|&&at| !past.passed[at].heard.holds(link)) {
                 let passed = &mut past.passed[of];
                 passed.heard = passed.heard.with(link);
-                return Verdict::Copy { echo: passed.sent.holds(link) };
+                return CopyVerdict::Copy { echo: passed.sent.holds(link) };
             }
             if counts && !copies.is_empty() {
-                return Verdict::Copy { echo: false };
+                return CopyVerdict::Copy { echo: false };
             }
         }
         past.push(print, Passed { came: now, heard: link, sent: LinkSet::default() });
-        Verdict::New
+        CopyVerdict::New
     }
 
     /// The newest frame of a source went to these links.

@@ -32,7 +32,7 @@ use crpl_sitl::link::splitter::{Counts, Splitter};
 use crpl_sitl::link::wire;
 
 use super::counters::Counters;
-use history::{History, LinkSet, MAX_SOURCES, Verdict};
+use history::{CopyVerdict, History, LinkSet, MAX_SOURCES};
 use rules::{Budget, LinkRules};
 
 /// A peer of the bridge: one socket, one TCP connection, or one of the peers of a listening socket.
@@ -445,11 +445,11 @@ impl Router {
         let place = LinkSet::of(link.place);
         let verdict = self.history.judge(key, frame.raw, place, counts, now, self.copies_within);
         link.counters.last_heard = Some(now);
-        link.counters.duplicates += u64::from(verdict != Verdict::New);
+        link.counters.duplicates += u64::from(verdict != CopyVerdict::New);
         let knows = link.sources.contains_key(&source);
-        if verdict == (Verdict::Copy { echo: true }) && !knows {
+        if verdict == (CopyVerdict::Copy { echo: true }) && !knows {
             link.doubt(source, now);
-        } else if frame.known || (knows && verdict == Verdict::New) {
+        } else if frame.known || (knows && verdict == CopyVerdict::New) {
             let (entry, new) = link.source(source, now);
             entry.heard = now;
             entry.numbered(frame.sequence);
@@ -459,7 +459,7 @@ impl Router {
                 self.notices.push(Notice::Found(from, source.0, source.1));
             }
         }
-        verdict == Verdict::New
+        verdict == CopyVerdict::New
     }
 
     fn reach(&self, system: u8, component: u8) -> Reach {
