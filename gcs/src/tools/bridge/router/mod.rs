@@ -45,7 +45,7 @@ pub const COPY_WITHIN: Duration = Duration::from_secs(10);
 /// A source that was not heard on a link for this long may have moved away from it.
 const LIVES_HERE: Duration = Duration::from_secs(5);
 /// A link that brings a copy of what it was sent is either the way to its sender or a ring. So many frames,
-/// every other one, are then withheld from it: one that comes all the same tells that its sender lives there.
+/// the next and then every other one, are withheld from it: one that comes all the same tells that its sender lives there.
 const WITHHELD: u8 = 12;
 /// An echo is asked about again after this time.
 const DOUBT_AGAIN: Duration = Duration::from_secs(60);
@@ -420,12 +420,18 @@ impl Router {
         let certain = |id: &LinkId| self.links.get(id).is_some_and(|link| !link.is_doubted(source));
         if !targets.iter().all(certain)
             && targets.iter().any(certain)
-            && history::fingerprint(self.salt, frame.raw) & 1 == 1
+            && (self.is_fresh_doubt(targets, source) || history::fingerprint(self.salt, frame.raw) & 1 == 1)
         {
             targets.retain(certain);
             let doubts = self.links.values_mut().filter_map(|link| link.doubts.get_mut(&source));
             doubts.for_each(|doubt| doubt.withheld = doubt.withheld.saturating_add(1));
         }
+    }
+
+    /// Whether one of these links is in doubt of late: the next frame is withheld at once.
+    fn is_fresh_doubt(&self, targets: &[LinkId], source: (u8, u8)) -> bool {
+        let mut doubts = targets.iter().filter_map(|id| self.links.get(id)?.doubts.get(&source));
+        doubts.any(|doubt| doubt.withheld == 0)
     }
 
     /// Under what name the frames of a sender are remembered: what could not be checked may be junk.
