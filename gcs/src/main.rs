@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 use crpl_gcs::flight::foreign::guide::ForeignStack;
-use crpl_gcs::flight::foreign::{self, Foreign};
+use crpl_gcs::flight::foreign::{self, FlightPlan, Foreign};
 use crpl_gcs::flight::{self, Options, world};
 use crpl_gcs::lab::crew::LoggedStation;
 use crpl_gcs::lab::demo::{self, DemoFlight};
@@ -16,7 +17,8 @@ use crpl_gcs::lab::sweep::{self, merge};
 use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
-use crpl_gcs::tools::{bridge, link, mission, param, replay};
+use crpl_gcs::tools::identity::Identity;
+use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
@@ -66,6 +68,10 @@ enum GcsCommand {
     Mission(mission::Missions),
     /// Send a recorded flight to whoever watches
     Replay(replay::Replay),
+    /// Look into telemetry logs, cut and merge them
+    Tlog(tlog::TlogArgs),
+    /// Make keys of message signing, and tell them apart
+    Key(key::KeyArgs),
     /// Run the simulated vehicle: the same program as `sitl`
     Sitl(crpl_sitl::program::cli::Args),
 }
@@ -131,12 +137,30 @@ struct Fly {
     /// System id of the vehicle [default: the only one on the link; of a foreign one, the first that is heard]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
+    /// Height of a foreign vehicle's flight above its start, m [default: the scenario's]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    altitude: Option<f64>,
+    /// Side of the square that a foreign vehicle flies in, m [default: the scenario's]
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    field: Option<f64>,
+    /// Say where a foreign vehicle would fly, and end
+    #[arg(long)]
+    dry_run: bool,
+    /// Fly a foreign vehicle higher than 50 m, further than 150 m or faster than 10 m/s
+    #[arg(long)]
+    yes: bool,
     /// Speed of a foreign vehicle's simulator relative to real time
     #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
+    /// How long to wait for the vehicle, for its first report, and for any next one
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    timeout: u64,
+    /// Who flies
+    #[command(flatten)]
+    identity: Identity,
     /// Controller to fly
     #[arg(long, value_enum, default_value = "crpl")]
     controller: Controller,
@@ -215,11 +239,25 @@ async fn fly(args: Fly) -> Result<()> {
         system: args.sysid,
         signing_key: args.signing_key,
         forward: args.forward,
-        ..Options::default()
+        timeout: Duration::from_secs(args.timeout),
+        identity: args.identity,
     };
     let foreign = args.vehicle.foreign();
     let (mut session, scenario) = match foreign {
-        Some(_) => (None, args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?),
+        Some(_) => {
+            let mut scenario = args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?;
+            scenario.scale.altitude_m = args.altitude.unwrap_or(scenario.scale.altitude_m);
+            scenario.scale.metres_per_unit = args.field.unwrap_or(scenario.scale.metres_per_unit);
+            let plan = FlightPlan::of(&scenario);
+            if args.dry_run {
+                crpl_sitl::outln!("{plan}");
+                return Ok(());
+            }
+            if !args.yes && plan.is_large() {
+                bail!("{plan}: give --yes if it may, or --altitude, --field and another --scenario");
+            }
+            (None, scenario)
+        }
         None => {
             // What is wrong with the file is said before anybody is asked.
             let camera = &args.camera;
@@ -251,8 +289,10 @@ async fn fly(args: Fly) -> Result<()> {
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
     let flown = match (foreign, session) {
         (Some(stack), _) => {
-            let how = Foreign { stack, system: args.sysid, speed: args.speed };
-            foreign::fly(&args.connect, &scenario, &how, &options, &mut crew).await?
+            let how = Foreign { stack, system: args.sysid, speed: args.speed, identity: args.identity };
+            let flown;
+            (flown, crew) = foreign::fly(&args.connect, &scenario, &how, &options, crew).await?;
+            flown
         }
         (None, Some(session)) => flight::fly_on(session, &scenario, &options, &mut crew).await?,
         (None, None) => flight::fly(&args.connect, &scenario, &options, &mut crew).await?,
@@ -270,7 +310,7 @@ fn report_flights(flights: &[Summary], out: &Path, json: bool, exit: Option<Exit
     if !flights.is_empty() {
         print_flights(flights, json)?;
         if !json {
-            println!("records, tlog and plot in {}", out.display());
+            crpl_sitl::outln!("records, tlog and plot in {}", out.display());
         }
     }
     exit.map_or(Ok(()), |exit| Err(exit.into()))
@@ -278,9 +318,9 @@ fn report_flights(flights: &[Summary], out: &Path, json: bool, exit: Option<Exit
 
 fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
-        println!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
+        crpl_sitl::outln!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
-        print!("{}", summary::table(flights));
+        crpl_sitl::out!("{}", summary::table(flights));
     }
     Ok(())
 }
@@ -294,6 +334,8 @@ fn main() -> ExitCode {
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
+        GcsCommand::Tlog(args) => tlog::run(&args),
+        GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
         GcsCommand::Episodes(args) => episodes::run(&args),
         GcsCommand::Optimise(args) => optimise::run(&args),

@@ -141,7 +141,12 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
     let path = args.out.join("config.toml");
     std::fs::write(&path, toml::to_string(&config)?)
         .with_context(|| format!("writing {}", path.display()))?;
-    println!("{} episodes of {} actions in {}", episodes.len(), config.data.steps, args.out.display());
+    crpl_sitl::outln!(
+        "{} episodes of {} actions in {}",
+        episodes.len(),
+        config.data.steps,
+        args.out.display()
+    );
     Ok(())
 }
 
@@ -185,13 +190,13 @@ fn run(args: &Train) -> anyhow::Result<()> {
             "wall_s": wall_s,
             "cpu_s": cpu_s,
         });
-        println!("{out:#}");
+        crpl_sitl::outln!("{out:#}");
     } else {
-        print!("{}{}", model.card.metrics.table(), diagnostics.table());
-        println!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
-        println!("checkpoint in {}", args.out.display());
+        crpl_sitl::out!("{}{}", model.card.metrics.table(), diagnostics.table());
+        crpl_sitl::outln!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
+        crpl_sitl::outln!("checkpoint in {}", args.out.display());
         if args.quick {
-            println!("made by --quick: these are not the figures of the full recipe");
+            crpl_sitl::outln!("made by --quick: these are not the figures of the full recipe");
         }
     }
     Ok(())
@@ -224,11 +229,15 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
         let name = network.kind().name();
         let (last, before) = (curve.last(), curve.iter().rev().nth(curve.len() / 5));
         let px = |p: Option<&predictors::Point>| p.map_or(f64::NAN, |p| p.held_out_px);
-        println!("{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier", px(last), px(before));
+        crpl_sitl::outln!(
+            "{name:<5} held out, p90: {:.3} px, {:.3} px a fifth earlier",
+            px(last),
+            px(before)
+        );
     }
     if let Some(bounds) = trained.networks.bounds {
-        println!("bounded: {}", predictors::in_px(&bounds, &model));
+        crpl_sitl::outln!("bounded: {}", predictors::in_px(&bounds, &model));
     }
-    println!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
+    crpl_sitl::outln!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
     Ok(())
 }

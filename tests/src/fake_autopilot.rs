@@ -7,6 +7,7 @@
 //! | mode | GUIDED once the EKF has a position | OFFBOARD after more than 1 s of setpoints, else TEMPORARILY_REJECTED |
 //! | arming | FAILED and a text until its checks pass | accepted |
 //! | takeoff | NAV_TAKEOFF, armed and in GUIDED | by position setpoints |
+//! | speed with acceleration | a loop of its own, with a learned part | the same |
 //! | acceleration | follows with a lag of 0.35 s, tilt-limited to 3.5 m/s² | the same up to 6 m/s², drag 1/s, sinks slowly |
 //! | everything ignored, or one axis | stops | refused with a text; holds |
 //! | not a number | poisons the controller for good | treated as absent |
@@ -14,6 +15,7 @@
 //!
 //! A state machine: time is an argument. [`Served`] puts it on a socket.
 
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,6 +32,7 @@ use crpl_sitl::link::dialect::{
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandLong;
+use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
 
 /// Whom it copies.
@@ -58,6 +61,8 @@ enum Wish {
     Ground,
     /// North, east, down, m/s².
     Accel([f64; 3]),
+    /// Speed, and acceleration fed forward.
+    Speed([f64; 3], [f64; 3]),
     Position([f64; 3]),
     /// Brakes and stays.
     Stop,
@@ -92,6 +97,19 @@ pub struct Autopilot {
     encoder: Encoder,
     decoder: Decoder,
     out: Vec<u8>,
+    /// Delay of the link each way, s, and of every other datagram more than that.
+    delay: [f64; 2],
+    /// What is under way to the vehicle and from it, by the time of its arrival.
+    inbox: VecDeque<(f64, Vec<u8>)>,
+    outbox: VecDeque<(f64, Vec<u8>)>,
+    under_way: u64,
+    /// Of the speed loop: what it has learned of drag.
+    learned: [f64; 3],
+    /// The largest speed that it has flown, level, and the heights between which, m.
+    pub fastest: f64,
+    pub heights: [f64; 2],
+    /// Commands for a mode that get lost: so many.
+    pub deaf_to_modes: u32,
 }
 
 impl Autopilot {
@@ -120,13 +138,69 @@ impl Autopilot {
             encoder: Encoder::new(1, 1),
             decoder: Decoder::default(),
             out: Vec::new(),
+            delay: [0.0; 2],
+            inbox: VecDeque::new(),
+            outbox: VecDeque::new(),
+            under_way: 0,
+            learned: [0.0; 3],
+            fastest: 0.0,
+            heights: [f64::INFINITY, f64::NEG_INFINITY],
+            deaf_to_modes: 0,
         }
+    }
+
+    /// Behind a link that takes `delay` seconds each way, and `more` in addition for every other datagram; none
+    /// overtakes another.
+    #[must_use]
+    pub fn delayed(mut self, delay: f64, more: f64) -> Self {
+        self.delay = [delay, more];
+        self
+    }
+
+    /// In the air already, armed, in GUIDED or Hold, that many metres high.
+    #[must_use]
+    pub fn airborne(mut self, height: f64) -> Self {
+        (self.armed, self.position[2], self.wish) = (true, -height, Wish::Stop);
+        (self.time, self.next_report, self.next_beat) = (CHECKS, CHECKS, CHECKS);
+        if self.stack == Stack::ArduPilot {
+            self.mode = GUIDED;
+        }
+        self
+    }
+
+    /// Says a text, as failsafes do.
+    pub fn shout(&mut self, text: &str) {
+        self.say(MavSeverity::MAV_SEVERITY_CRITICAL, text);
+    }
+
+    /// Says no longer where it is.
+    pub fn hush(&mut self) {
+        self.stream_period = None;
+    }
+
+    /// Motors off.
+    pub fn disarm(&mut self) {
+        self.armed = false;
+    }
+
+    /// When something that is sent now arrives.
+    fn arrives(&mut self, last: Option<f64>) -> f64 {
+        self.under_way += 1;
+        let [delay, more] = self.delay;
+        let due = self.time + delay + more * (self.under_way % 2) as f64;
+        last.map_or(due, |last| due.max(last))
     }
 
     /// North, east, down, m.
     #[must_use]
     pub fn position(&self) -> [f64; 3] {
         self.position
+    }
+
+    /// Level, m/s.
+    #[must_use]
+    pub fn speed(&self) -> f64 {
+        self.velocity[0].hypot(self.velocity[1])
     }
 
     /// HEARTBEAT.custom_mode.
@@ -148,13 +222,27 @@ impl Autopilot {
     /// Goes on to `time` (seconds of the vehicle's clock); gives what it sends meanwhile. `factor` is
     /// how much faster than the wall its clock runs: PX4 stretches its time-outs by it.
     pub fn advance(&mut self, time: f64, factor: f64) -> Vec<u8> {
+        let mut arrived = Vec::new();
         while self.time + STEP <= time {
             self.time += STEP;
+            while self.inbox.front().is_some_and(|(due, _)| *due <= self.time) {
+                if let Some((_, bytes)) = self.inbox.pop_front() {
+                    self.hear(&bytes);
+                }
+            }
             self.watch(factor);
             self.fly();
             self.report();
+            if !self.out.is_empty() {
+                let due = self.arrives(self.outbox.back().map(|(due, _)| *due));
+                let out = std::mem::take(&mut self.out);
+                self.outbox.push_back((due, out));
+            }
+            while self.outbox.front().is_some_and(|(due, _)| *due <= self.time) {
+                arrived.extend(self.outbox.pop_front().into_iter().flat_map(|(_, bytes)| bytes));
+            }
         }
-        std::mem::take(&mut self.out)
+        arrived
     }
 
     /// Setpoint time-outs.
@@ -162,7 +250,11 @@ impl Autopilot {
         let Some((newest, _)) = self.setpoint else { return };
         let silent = self.time - newest;
         match self.stack {
-            Stack::ArduPilot if self.controlled() && matches!(self.wish, Wish::Accel(_)) && silent > 3.0 => {
+            Stack::ArduPilot
+                if self.controlled()
+                    && matches!(self.wish, Wish::Accel(_) | Wish::Speed(..))
+                    && silent > 3.0 =>
+            {
                 self.wish = Wish::Stop;
                 self.starved = true;
             }
@@ -185,6 +277,11 @@ impl Autopilot {
         let mut asked = match self.wish {
             Wish::Ground => return,
             Wish::Accel(accel) => accel,
+            Wish::Speed(speed, accel) => std::array::from_fn(|k| {
+                let error = speed[k] - self.velocity[k];
+                self.learned[k] = (self.learned[k] + 1.0 * error * STEP).clamp(-2.0, 2.0);
+                accel[k] + 2.0 * error + self.learned[k]
+            }),
             Wish::Stop => self.velocity.map(|v| -1.5 * v),
             Wish::Position(target) => std::array::from_fn(|k| {
                 let speed = (0.8 * (target[k] - self.position[k])).clamp(-2.5, 2.5);
@@ -206,6 +303,11 @@ impl Autopilot {
             let extra = if k == 2 { sink } else { 0.0 };
             self.velocity[k] += (self.accel[k] - drag * self.velocity[k] + extra) * STEP;
             self.position[k] += self.velocity[k] * STEP;
+        }
+        self.fastest = self.fastest.max(self.velocity[0].hypot(self.velocity[1]));
+        if self.accelerations > 0 {
+            let height = -self.position[2];
+            self.heights = [self.heights[0].min(height), self.heights[1].max(height)];
         }
         if self.position[2] > 0.0 {
             self.position[2] = 0.0;
@@ -258,13 +360,25 @@ impl Autopilot {
         self.encoder.push(&mut self.out, &message);
     }
 
-    /// A datagram has come.
+    /// A datagram has been sent to it.
     pub fn datagram(&mut self, bytes: &[u8]) {
+        let due = self.arrives(self.inbox.back().map(|(due, _)| *due));
+        if due <= self.time {
+            return self.hear(bytes);
+        }
+        self.inbox.push_back((due, bytes.to_vec()));
+    }
+
+    fn hear(&mut self, bytes: &[u8]) {
         for packet in self.decoder.datagram(bytes) {
             if let Some(ask) = CommandLong::of(&packet) {
                 self.command(&ask, (packet.system, packet.component));
             } else if let Some(target) = SetPositionTargetLocalNed::of(&packet) {
                 self.target(&target);
+            } else if let Some(sync) = Timesync::of(&packet).filter(|sync| sync.tc1 == 0) {
+                let target = (packet.system, packet.component).into();
+                let answer = Timesync { tc1: (self.time * 1e9) as i64 + 1, ts1: sync.ts1, target };
+                self.encoder.push_view(&mut self.out, &answer);
             }
         }
     }
@@ -277,6 +391,10 @@ impl Autopilot {
         if let Some(radio) = self.radio.as_mut().filter(|_| target.component == 68) {
             self.powers.push(params[0]);
             return radio.push_ack(&mut self.out, command, MavResult::MAV_RESULT_ACCEPTED, asker);
+        }
+        if command == 176 && self.deaf_to_modes > 0 {
+            self.deaf_to_modes -= 1;
+            return;
         }
         let result = match command {
             176 => self.mode_asked(params),
@@ -350,7 +468,9 @@ impl Autopilot {
         if asked.target.system > 1 || asked.coordinate_frame != 1 {
             return self.say(MavSeverity::MAV_SEVERITY_WARNING, "SET_POSITION_TARGET_LOCAL_NED invalid");
         }
+        let speed = asked.velocity.map(f64::from);
         let (has_position, has_accel) = (mask & 0b111 == 0, mask & 0b1_1100_0000 == 0);
+        let has_speed = mask & 0b11_1000 == 0;
         if self.stack == Stack::Px4 && !has_position && !has_accel {
             return self.say(MavSeverity::MAV_SEVERITY_WARNING, "SET_POSITION_TARGET_LOCAL_NED invalid");
         }
@@ -364,10 +484,14 @@ impl Autopilot {
             return;
         }
         self.wish = if has_accel {
-            let finite = accel.iter().all(|a| a.is_finite());
+            let finite = accel.iter().chain(&speed).all(|a| a.is_finite());
             self.poisoned |= !finite && self.stack == Stack::ArduPilot;
             self.accelerations += 1;
-            if finite { Wish::Accel(accel) } else { Wish::Stop }
+            match finite {
+                true if has_speed => Wish::Speed(speed, accel),
+                true => Wish::Accel(accel),
+                false => Wish::Stop,
+            }
         } else if has_position {
             Wish::Position(position)
         } else {

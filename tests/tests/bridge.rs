@@ -205,7 +205,8 @@ fn what_cannot_be_opened_is_said_in_one_line() {
     let taken = format!("udpin:{}", socket.local_addr().unwrap());
     for (args, word) in [
         (vec!["--connect", "udpout:127.0.0.1:9", "--forward", taken.as_str()], "in use"),
-        (vec!["--connect", "serial:/dev/null:9", "--forward", "udpin:127.0.0.1:0"], "only udpin"),
+        (vec!["--connect", "can:can0:9", "--forward", "udpin:127.0.0.1:0"], "only udpin"),
+        (vec!["--connect", "udpin:127.0.0.1:0", "--forward", "udpin:127.0.0.1:0?speed=3"], "no rule"),
         (vec!["--connect", "udpout:127.0.0.1:9"], "--forward"),
         (
             vec!["--connect", "udpin:127.0.0.1:0", "--forward", "udpin:127.0.0.1:0", "--tlog", "/no/where"],

@@ -10,6 +10,7 @@ use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_gcs::tools::identity::Identity;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
@@ -35,12 +36,19 @@ struct Story {
     setpoints_per_s: f64,
 }
 
-fn story(stacks: (Stack, guide::ForeignStack), mut meddle: impl FnMut(f64, &mut Autopilot, &Guide)) -> Story {
+fn story(stacks: (Stack, guide::ForeignStack), meddle: impl FnMut(f64, &mut Autopilot, &Guide)) -> Story {
+    story_of(Autopilot::new(stacks.0, [-7.0, 21.0], true), stacks.1, meddle)
+}
+
+fn story_of(
+    mut autopilot: Autopilot,
+    stack: guide::ForeignStack,
+    mut meddle: impl FnMut(f64, &mut Autopilot, &Guide),
+) -> Story {
     let scenario = scenario();
     let models = Models::load(None, None).unwrap();
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
-    let mut autopilot = Autopilot::new(stacks.0, [-7.0, 21.0], true);
-    let how = Foreign { stack: stacks.1, system: None, speed: 1.0 };
+    let how = Foreign { stack, system: None, speed: 1.0, identity: Identity::default() };
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
     let (mut said, mut flying) = (Vec::new(), None);
     for k in 0_u32..30_000 {
@@ -117,6 +125,172 @@ fn a_pilot_s_hand_ends_the_setpoints() {
         assert!(why.contains(word), "{name}: {why}");
         assert_eq!(after.unwrap_or(story.autopilot.accelerations), story.autopilot.accelerations, "{name}");
     }
+}
+
+/// Report A1: from 0.15 s of delay the flight was unstable, and from 0.2 s ArduCopter flew through the obstacle.
+#[test]
+fn a_radio_s_delay_and_jitter_keep_the_flight_stable() {
+    let limit = scenario().dynamics.v_max * scenario().scale.mps_per_speed();
+    for (fake, stack, name) in STACKS {
+        for (delay, more) in [(0.1, 0.0), (0.15, 0.0), (0.2, 0.0), (0.3, 0.0), (0.0, 0.3), (0.0, 0.8)] {
+            let autopilot = Autopilot::new(fake, [-7.0, 21.0], true).delayed(delay, more);
+            let story = story_of(autopilot, stack, |_, _, _| {});
+            let what = format!("{name}, {delay} s and {more} s: {:?} {:?}", story.end, story.said);
+            assert!(matches!(story.end, GuideEvent::Holding), "{what}");
+            let score = story.station.score().unwrap();
+            assert!(score.is(FlightOutcome::Reached), "{what} {score:?}");
+            assert!(score[Metric::CollisionProbability] < 0.2, "{what} {score:?}");
+            assert!(story.autopilot.fastest < 1.25 * limit, "{what}: {} m/s", story.autopilot.fastest);
+            let [low, high] = story.autopilot.heights.map(|h| (h - scenario().scale.altitude_m).abs());
+            assert!(low < 1.5 && high < 1.5, "{what}: heights {:?}", story.autopilot.heights);
+        }
+    }
+}
+
+/// Report A1: a link beyond what is stable is refused before the vehicle moves.
+#[test]
+fn a_link_of_seconds_is_refused_on_the_ground() {
+    let autopilot = Autopilot::new(Stack::ArduPilot, [0.0; 2], false).delayed(0.8, 0.0);
+    let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+    let GuideEvent::Failed(_, why) = &story.end else { panic!("{:?}", story.end) };
+    assert!(why.contains("the link's round trip is 1.6"), "{why}");
+    assert_eq!(story.autopilot.position()[2], 0.0);
+}
+
+/// Report A2: BRAKE, RTL, LAND or LOITER of another station during the climb were ignored.
+#[test]
+fn a_mode_that_is_changed_during_the_climb_ends_the_flight() {
+    for mode in [17, 6, 9, 5] {
+        let mut taken = None;
+        let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |now, autopilot, _| {
+            if taken.is_none() && autopilot.position()[2] < -3.0 {
+                taken = Some(now);
+                autopilot.set_mode(mode);
+            }
+        });
+        assert!(matches!(story.end, GuideEvent::TakenOver(_)), "{mode}: {:?}", story.end);
+        assert_eq!(story.autopilot.accelerations, 0, "{mode}");
+        assert_eq!(story.autopilot.mode(), mode);
+    }
+}
+
+/// Report A10: failsafes and crashes were "the operator has taken over".
+#[test]
+fn a_failsafe_and_a_crash_are_not_the_operator_s_doing() {
+    for (text, mode) in
+        [("Battery Failsafe", Some(6)), ("Fence Breached", Some(17)), ("Crash: Disarming", None)]
+    {
+        let mut done = false;
+        let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
+            if !done && autopilot.accelerations > 100 {
+                done = true;
+                match mode {
+                    Some(mode) => autopilot.set_mode(mode),
+                    None => autopilot.disarm(),
+                }
+                autopilot.shout(text);
+            }
+        });
+        let GuideEvent::Failsafe(why) = &story.end else { panic!("{text}: {:?}", story.end) };
+        assert!(why.contains(text), "{why}");
+    }
+}
+
+/// Report A7: a slow controller left the vehicle without a setpoint for 3 s, at 8.8 m/s.
+#[test]
+fn a_late_decision_keeps_the_setpoints_coming_and_the_vehicle_brakes() {
+    let scenario = scenario();
+    let models = Models::load(None, None).unwrap();
+    let mut station = models.station(Controller::Crpl, &scenario).unwrap();
+    let mut autopilot = Autopilot::new(Stack::ArduPilot, [0.0; 2], false);
+    let stack = guide::ForeignStack::Ardupilot;
+    let how = Foreign { stack, system: None, speed: 1.0, identity: Identity::default() };
+    let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
+    // The fifth decision takes six seconds.
+    let (mut asked, mut held, mut during) = (0, None, None);
+    let (mut slowest, mut after) = (f64::INFINITY, 0);
+    for k in 0_u32..6_000 {
+        let now = Duration::from_millis(10) * k;
+        guide.datagram(&autopilot.advance(now.as_secs_f64(), 1.0), now);
+        if let Some((since, percept)) = held.take_if(|(since, _)| now > *since + Duration::from_secs(6)) {
+            let _: Duration = since;
+            during = Some(autopilot.accelerations - during.unwrap_or(0));
+            slowest = autopilot.speed();
+            autopilot.datagram(&guide.fly(&station.handle(&percept), now));
+        }
+        autopilot.datagram(&guide.poll(now));
+        while let Some(event) = guide.take() {
+            let GuideEvent::Percept(percept) = event else { continue };
+            asked += 1;
+            if asked == 5 {
+                during = Some(autopilot.accelerations);
+                held = Some((now, percept));
+            } else {
+                after += u32::from(asked > 5);
+                autopilot.datagram(&guide.fly(&station.handle(&percept), now));
+            }
+        }
+    }
+    assert!(during.unwrap() > 60, "{during:?} setpoints in 6 s");
+    assert!(slowest < 0.3, "{slowest} m/s");
+    assert!(after > 3, "the flight goes on: {after}");
+}
+
+/// Report A9: "takeoff failed" for 90 s on a vehicle that flew already.
+#[test]
+fn a_vehicle_that_flies_already_is_brought_to_its_height() {
+    let autopilot = Autopilot::new(Stack::ArduPilot, [2.0, 3.0], true).airborne(6.0);
+    let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+    assert!(matches!(story.end, GuideEvent::Holding), "{:?} {:?}", story.end, story.said);
+    assert!(story.station.score().unwrap().is(FlightOutcome::Reached));
+    assert!(story.said.iter().any(|said| said.contains("it flies already, 6.0 m")), "{:?}", story.said);
+}
+
+/// Report A8: three seconds of silence ended the flight without BRAKE.
+#[test]
+fn a_vehicle_that_no_longer_says_where_it_is_is_told_to_hold_its_place() {
+    let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
+        if autopilot.accelerations > 100 {
+            autopilot.hush();
+        }
+    });
+    let GuideEvent::Failed(_, why) = &story.end else { panic!("{:?}", story.end) };
+    assert!(why.contains("has not said where it is for 3 s; it holds its place"), "{why}");
+    assert_eq!(story.autopilot.mode(), 17);
+}
+
+/// Report A5: Ctrl-C sent BRAKE once, which got lost in 5 of 7 runs.
+#[test]
+fn ctrl_c_asks_for_brake_until_it_is_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    for signal in ["-INT", "-TERM"] {
+        let served = Served::start(Autopilot::new(Stack::ArduPilot, [3.0, -4.0], false), 8.0).unwrap();
+        let (endpoint, out) = (served.endpoint(Stack::ArduPilot), folder.path().join(signal));
+        let out = out.to_str().unwrap();
+        let args = ["fly", "--vehicle", "ardupilot", "--connect", &endpoint, "--speed", "8", "--out", out];
+        let gcs = Program::start("gcs", &args, None).unwrap();
+        gcs.logs("at its height: CRPL flies").unwrap();
+        served.with(|autopilot| autopilot.deaf_to_modes = 2);
+        gcs.signal(signal).unwrap();
+        let finished = gcs.wait().unwrap();
+        assert!(finished.stderr.contains("the vehicle holds its place"), "{}", finished.stderr);
+        assert_eq!(served.with(|autopilot| autopilot.mode()), 17);
+    }
+}
+
+/// Report A6: a configuration of the project's own climbed to 100 m and flew 390 m away, without a word.
+#[test]
+fn a_large_flight_needs_a_yes_and_says_where_it_goes() {
+    let large = ["fly", "--vehicle", "ardupilot", "--connect", "udpout:127.0.0.1:9", "--scenario"];
+    let refused = program::run("gcs", &[&large[..], &["configs/scenario2.toml"]].concat()).unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        refused.stderr.contains("would climb to 100 m") && refused.stderr.contains("--yes"),
+        "{refused:?}"
+    );
+    let dry =
+        program::run("gcs", &[&large[..], &["foreign", "--dry-run", "--altitude", "7"]].concat()).unwrap();
+    assert!(dry.good().unwrap().contains("would climb to 7 m and fly in a square of 60 m"));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA};
+use crpl_sitl::link::encoder::Encoder;
 use tests::program::{self, Finished, PATIENCE, Program};
 use tests::relay::Relay;
 
@@ -126,7 +127,9 @@ fn a_vehicle_that_wants_signatures_answers_to_its_key_alone() {
         &["param", "--timeout", "2", "list"][..],
         &["param", "--signing-key", &other, "--timeout", "2", "list"],
     ] {
-        refused(&gcs(address, stranger), &["no vehicle heard"]);
+        // Report G15: a wrong key and a missing one were "is sitl running there?".
+        let word = if stranger.contains(&"--signing-key") { "is the key in" } else { "--signing-key" };
+        refused(&gcs(address, stranger), &["no vehicle heard", word]);
     }
 }
 
@@ -249,4 +252,177 @@ fn a_flight_is_replayed_from_its_log_and_from_its_record() {
     let run = folder.path().join("rcc");
     assert!(watched(&run.join("flight.tlog"), "1").0 >= 100);
     assert_eq!(watched(&run.join("record.jsonl"), "20"), (100, 100));
+}
+
+/// All bytes that a replay of a file sends to a watcher, and what the program says.
+fn replayed(file: &Path) -> (Vec<u8>, Finished) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let out = format!("tcpout:{}", listener.local_addr().unwrap());
+    let args = ["replay", file.to_str().unwrap(), "--forward", &out, "--speed", "1000", "--all"];
+    let replay = Program::start("gcs", &args, None).unwrap();
+    let (mut stream, _) = listener.accept().unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).unwrap();
+    (bytes, replay.wait().unwrap())
+}
+
+/// Report G3: nothing was sent of a log with one frame of a message that was redefined since, or one stray byte;
+/// and a clock that was set after the start made it wait for 53 years.
+#[test]
+fn a_real_log_with_damage_is_replayed_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut log, mut frames, mut encoder) = (Vec::new(), Vec::new(), Encoder::new(1, 1));
+    for k in 0..50_u64 {
+        let mut frame = Vec::new();
+        encoder.push(&mut frame, &GLOBAL_POSITION_INT_DATA { lat: k as i32, alt: 7, ..Default::default() });
+        if k == 20 {
+            frame[12] ^= 1;
+        }
+        // The clock is set at the 10th frame.
+        let time = if k < 10 { k } else { 1_700_000_000 + k };
+        log.extend((time * 1_000_000).to_be_bytes());
+        log.extend_from_slice(&frame);
+        if k == 30 {
+            log.push(0x55);
+        }
+        frames.extend(frame);
+    }
+    let file = folder.path().join("damaged.tlog");
+    std::fs::write(&file, &log).unwrap();
+    let (sent, said) = replayed(&file);
+    assert_eq!(sent, frames);
+    assert!(said.status.success(), "{said:?}");
+    for word in ["1 frames with a checksum that does not fit", "1 bytes between frames"] {
+        assert!(said.stderr.contains(word), "no {word} in {}", said.stderr);
+    }
+    let info = program::run("gcs", &["tlog", "info", "--json", file.to_str().unwrap()]).unwrap();
+    let info: serde_json::Value = serde_json::from_str(&info.good().unwrap()).unwrap();
+    assert_eq!((&info["frames"], &info["bad_crc"], &info["clock_set"]), (&50.into(), &1.into(), &1.into()));
+}
+
+/// Report G4: the log of a lockstep flight lasted 0.04 s and held no place on the map.
+#[test]
+fn a_lockstep_log_lasts_as_long_as_its_flight_and_shows_it_on_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["demo", "--controller", "rcc", "--out", folder.path().to_str().unwrap()];
+    program::run("gcs", &args).unwrap().good().unwrap();
+    let log = folder.path().join("rcc/flight.tlog");
+    let info = program::run("gcs", &["tlog", "info", "--json", log.to_str().unwrap()]).unwrap();
+    let info: serde_json::Value = serde_json::from_str(&info.good().unwrap()).unwrap();
+    let seconds = info["seconds"].as_f64().unwrap();
+    assert!((38.0..45.0).contains(&seconds), "{seconds} s of a flight of 40 s");
+    for message in ["GLOBAL_POSITION_INT", "GPS_RAW_INT"] {
+        assert!(info["messages"][message].as_u64().unwrap() >= 100, "{message}: {info}");
+    }
+}
+
+/// Reports G5 and G6: a fence that is dropped is said, and the files that people have are read.
+#[test]
+fn plans_and_texts_as_people_have_them_are_uploaded_or_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let path = folder.path().join("file");
+    let upload = |text: &str, more: &[&str]| {
+        std::fs::write(&path, text).unwrap();
+        gcs(address, &[&["mission", "upload", path.to_str().unwrap()][..], more].concat())
+    };
+    let comment = MISSION.replace("110\n", "110\n# comment as pymavlink and ArduPilot have it\n");
+    assert!(upload(&comment, &[]).good().unwrap().contains("3 items uploaded"));
+    let plan = |height: &str, items: &str| {
+        format!(
+            r#"{{"fileType":"Plan","version":1,"geoFence":{{"version":2,"circles":[{{"circle":{{"center":
+            [47.3977,8.5456],"radius":100}},"inclusion":true,"version":1}}],"polygons":[]}},
+            "rallyPoints":{{"version":2,"points":[[47.3977,8.5456,50]]}},"mission":{{"version":2,
+            "plannedHomePosition":[47.397742,8.545594,{height}],"items":[{items}]}}}}"#
+        )
+    };
+    let item = r#"{"type":"SimpleItem","command":16,"frame":3,"autoContinue":true,"doJumpId":1,
+        "params":[0,0,0,null,47.3990,8.5460,100]}"#;
+    let only = upload(&plan("null", item), &["--mission-only"]).good().unwrap();
+    assert!(only.contains("2 items uploaded") && !only.contains("fence"), "{only}");
+    for text in [plan("488", item), plan("488", "")] {
+        let finished = upload(&text, &[]);
+        let said = format!("{} {}", finished.stdout, finished.stderr);
+        assert!(
+            said.contains("fence: 1 items uploaded") || said.contains("its fence is not uploaded"),
+            "{said}"
+        );
+        assert_eq!(finished.status.success(), said.contains("rally points: 1 items uploaded"), "{said}");
+    }
+}
+
+/// Report G10: lines for the radio and for another vehicle were set on the autopilot.
+#[test]
+fn a_parameter_file_s_lines_go_to_their_own_components() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let file = folder.path().join("two.params");
+    let lines =
+        "# Vehicle-Id Component-Id Name Value Type\n1\t1\tRATE_ATTITUDE\t7\t9\n1\t68\tRADIO_TXP\t4\t6\n";
+    std::fs::write(&file, lines).unwrap();
+    let loaded = good(address, &["param", "load", file.to_str().unwrap()]);
+    assert!(loaded.contains("2 set, 0 as they were, 0 refused"), "{loaded}");
+    assert_eq!(
+        good(address, &["param", "--component", "68", "get", "RADIO_TXP"]).trim(),
+        "RADIO_TXP        4"
+    );
+    std::fs::write(&file, format!("{lines}2\t1\tRATE_ATTITUDE\t11\t9\n")).unwrap();
+    let finished = gcs(address, &["param", "load", file.to_str().unwrap()]);
+    assert!(finished.stdout.contains("1 parameters are for system 2"), "{finished:?}");
+    refused(&finished, &["1 of 3 parameters were not set"]);
+    assert_eq!(good(address, &["param", "get", "RATE_ATTITUDE"]).trim(), "RATE_ATTITUDE    7");
+}
+
+/// Report G14: a result that cannot be written was a panic, and an error with `--json` no JSON.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_behind_stdout_is_an_error_and_no_panic() {
+    let (_sitl, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let connect = format!("udpout:{address}");
+    let folder = tempfile::tempdir().unwrap();
+    let demo = ["demo", "--controller", "rcc", "--json", "--out", folder.path().to_str().unwrap()];
+    for args in [&["param", "--connect", &connect, "list"][..], &demo] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let mut command = std::process::Command::new(program::path("gcs").unwrap());
+        command.args(args).current_dir(program::workspace()).stdout(full);
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains("error: writing to stdout: No space left"), "{said}");
+    }
+    let missing = program::run("gcs", &["demo", "--json", "--scenario", "no-such-file.toml"]).unwrap();
+    let error: serde_json::Value = serde_json::from_str(&missing.stdout).unwrap();
+    assert!(error["error"].as_str().unwrap().contains("no-such-file.toml"), "{error}");
+}
+
+/// Item 6: a key is made, told from others, and never shown.
+#[test]
+fn a_key_is_made_and_known_by_its_fingerprint_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let run = |args: &[&str]| program::run("gcs", &[&["key"][..], args].concat()).unwrap();
+    let made = run(&["new", &file("one")]).good().unwrap();
+    run(&["new", &file("two")]).good().unwrap();
+    let text = std::fs::read_to_string(file("one")).unwrap();
+    let key = text.lines().find_map(|line| line.strip_prefix("key = ")).unwrap().trim_matches('"').to_owned();
+    assert_eq!(key.len(), 64);
+    let shown = run(&["show-fingerprint", &file("one")]).good().unwrap();
+    assert_eq!(shown, made);
+    assert!(!shown.contains(&key[..16]) && !key.contains(&shown[..16]));
+    assert_ne!(run(&["show-fingerprint", &file("two")]).good().unwrap()[..16], shown[..16]);
+    refused(&run(&["new", &file("one")]), &["never replaced"]);
+    refused(&run(&["show-fingerprint", &file("none")]), &["no such file"]);
+    // Nor does a program that uses it say it, however much it logs.
+    let vehicle = file("vehicle");
+    std::fs::copy(file("one"), &vehicle).unwrap();
+    let args = ["--pace", "realtime", "--signing", "required", "--signing-key", &vehicle];
+    let (sitl, address) = program::sitl(&args).unwrap();
+    let mut command = std::process::Command::new(program::path("gcs").unwrap());
+    let connect = format!("udpout:{address}");
+    command.args(["param", "--connect", &connect, "--signing-key", &file("one"), "get", "SCALE_UNIT_M"]);
+    let output = command.env("RUST_LOG", "trace").output().unwrap();
+    assert!(output.status.success());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned() + &sitl.so_far();
+    assert!(!said.contains(&key), "the key is in the log");
 }

@@ -26,13 +26,16 @@ pub mod world;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::pin::pin;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::link::GPS;
 use crpl_sitl::link::dialect::MavSeverity;
+use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Counts;
+use crpl_sitl::link::wire::Clock;
 use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::{Signal, interrupted};
 use crpl_sitl::radio::message::{Command, Percept};
@@ -46,6 +49,8 @@ use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
 use crate::tools::fleet::News;
+use crate::tools::identity::Identity;
+use crate::tools::replay;
 use crate::tools::session::{LinkFlags, Session};
 
 /// The station's heartbeat.
@@ -69,6 +74,8 @@ pub struct Options {
     pub forward: Vec<Endpoint>,
     /// How long to wait for the vehicle, for the first percept, and for any next one.
     pub timeout: Duration,
+    /// Who flies.
+    pub identity: Identity,
 }
 
 impl Default for Options {
@@ -79,6 +86,7 @@ impl Default for Options {
             signing_key: None,
             forward: Vec::new(),
             timeout: Duration::from_secs(30),
+            identity: Identity::default(),
         }
     }
 }
@@ -110,6 +118,7 @@ impl Options {
             sysid: self.system,
             signing_key: self.signing_key.clone(),
             timeout: self.timeout.as_secs().max(1),
+            identity: self.identity,
             ..LinkFlags::to(connect.clone())
         };
         Session::open(&flags).await
@@ -159,6 +168,8 @@ pub enum FlightEnd {
     Interrupted(Signal),
     /// The operator has changed the vehicle's mode, and flies.
     TakenOver,
+    /// A failsafe of the vehicle, or a crash, has ended it.
+    Failsafe,
     /// Nothing came for [`Options::timeout`].
     LinkLost,
     /// The vehicle's time has gone back.
@@ -175,6 +186,7 @@ impl FlightEnd {
             Self::Over => "over",
             Self::Interrupted(_) => "interrupted",
             Self::TakenOver => "taken over",
+            Self::Failsafe => "failsafe",
             Self::LinkLost => "link lost",
             Self::Rebooted => "rebooted",
             Self::ForeignSetpoint => "foreign setpoint",
@@ -191,6 +203,7 @@ impl FlightEnd {
             Self::TakenOver => Some(4),
             Self::Rebooted => Some(5),
             Self::ForeignSetpoint => Some(6),
+            Self::Failsafe => Some(8),
         }
     }
 }
@@ -337,8 +350,13 @@ struct FlightShell<'a> {
     hub: Hub,
     remote: Remote,
     first_percept: Option<(Tick, Instant)>,
+    /// When the link was there, on the wall: the log's beginning.
+    began: SystemTime,
     last_percept: Instant,
     interval_s: f64,
+    scenario: Scenario,
+    /// Writes the vehicle's place into the log.
+    place: Encoder,
     /// The accelerations of our commands, by their ticks.
     sent: BTreeMap<Tick, [f32; 2]>,
     /// The powers of our last commands, newest last.
@@ -357,10 +375,13 @@ impl<'a> FlightShell<'a> {
             connect,
             options,
             hub,
-            remote: Remote::new(scenario, system, encoder).knowing(fleet),
+            remote: Remote::new(scenario, system, encoder).knowing(fleet).speaking_as(options.identity),
             first_percept: None,
+            began: SystemTime::now(),
             last_percept: Instant::now(),
             interval_s: scenario.scale.interval_s,
+            scenario: scenario.clone(),
+            place: Encoder::new(system, GPS),
             sent: BTreeMap::new(),
             powers: VecDeque::new(),
             flight: Flight::default(),
@@ -395,10 +416,24 @@ impl<'a> FlightShell<'a> {
     }
 
     fn percept(&mut self, percept: &Percept, arrived: Instant) {
-        let (_, first) = *self.first_percept.get_or_insert((percept.telemetry.tick, arrived));
+        let (first_tick, first) = *self.first_percept.get_or_insert((percept.telemetry.tick, arrived));
         self.last_percept = arrived;
         self.flight.wall = arrived - first;
+        self.log_place(percept, first_tick);
         tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// The log counts by the flight's own time, so that it lasts as long in lockstep as in real time; and if the
+    /// vehicle does not say where on the map it is, the log does, as its satellite receiver.
+    fn log_place(&mut self, percept: &Percept, first: Tick) {
+        let ticks = percept.telemetry.tick.0.saturating_sub(first.0) as f64;
+        let interval = Duration::from_secs_f64(self.interval_s);
+        self.hub.log_time(self.began + Duration::from_secs_f64(ticks * self.interval_s), interval);
+        if !self.remote.is_on_map() {
+            let (clock, mut datagram) = (Clock::new(&self.scenario), Vec::new());
+            replay::push_place(&percept.telemetry, &clock, &self.scenario, &mut self.place, &mut datagram);
+            self.hub.log_note(&datagram);
+        }
     }
 
     /// What the vehicle flies, if that is not ours. A setpoint that it held before our first percept is that of

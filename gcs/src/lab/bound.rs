@@ -123,9 +123,9 @@ pub fn run(args: &Bound) -> Result<()> {
         rows,
     };
     if args.json {
-        println!("{}", serde_json::to_string(&bounds)?);
+        crpl_sitl::outln!("{}", serde_json::to_string(&bounds)?);
     } else {
-        print!("{}", text(&bounds));
+        crpl_sitl::out!("{}", text(&bounds));
     }
     Ok(())
 }

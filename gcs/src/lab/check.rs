@@ -240,9 +240,9 @@ pub fn run(args: &Check) -> Result<()> {
         Some(&StopSignal::listen()?),
     )?;
     if args.json {
-        println!("{}", serde_json::to_string(&check)?);
+        crpl_sitl::outln!("{}", serde_json::to_string(&check)?);
     } else {
-        print!("{check}");
+        crpl_sitl::out!("{check}");
     }
     check.verdict()
 }

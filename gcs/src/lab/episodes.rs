@@ -163,13 +163,19 @@ fn cell(mean: &Mean, distinct: u64) -> String {
 
 fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     if json {
-        println!("{}", serde_json::to_string(row)?);
+        crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    println!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed);
+    crpl_sitl::outln!(
+        "{}, {}, {} flights from seed {}",
+        row.controller,
+        row.scenario,
+        row.episodes,
+        row.first_seed
+    );
     let of_all = |share: f64| format!("{:.0} of {}", share * row.episodes as f64, row.episodes);
     if row.distinct == 1 && row.episodes > 1 {
-        println!(
+        crpl_sitl::outln!(
             "  all {} flights are the same flight, as nothing in them is left to chance: no intervals",
             row.episodes
         );
@@ -178,7 +184,7 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
         1 => String::new(),
         _ => format!(" [{:.3}, {:.3}]", row.reached_ci[0], row.reached_ci[1]),
     };
-    println!(
+    crpl_sitl::outln!(
         "  reached {:.3}{ci} ({}), at a wall {}, below the obstacle {:.3} ({})",
         row.reached,
         of_all(row.reached),
@@ -187,19 +193,19 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
         of_all(row.below)
     );
     for (metric, mean) in row.metrics.iter() {
-        println!("  {:<14}{}", metric.symbol(), cell(mean, row.distinct));
+        crpl_sitl::outln!("  {:<14}{}", metric.symbol(), cell(mean, row.distinct));
     }
     if let Some(ratios) = row.ratio_to_crpl.filter(|_| row.distinct > 1) {
         let cells: Vec<String> =
             Metric::compared().map(|m| format!("{} {}", m.symbol(), ratio_cell(&ratios[m]))).collect();
         // Three in a line: 80 columns.
         for (n, some) in cells.chunks(3).enumerate() {
-            println!("  {:<14}{}", if n == 0 { "over crpl" } else { "" }, some.join(", "));
+            crpl_sitl::outln!("  {:<14}{}", if n == 0 { "over crpl" } else { "" }, some.join(", "));
         }
     }
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
         let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };
-        println!("  {does} a policy of another world: {mismatch}");
+        crpl_sitl::outln!("  {does} a policy of another world: {mismatch}");
     }
     Ok(())
 }

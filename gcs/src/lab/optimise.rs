@@ -151,17 +151,19 @@ pub fn run(args: &Optimise) -> Result<()> {
     if args.json {
         let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,
             "flown": flown, "attempts": attempts, "wall_s": wall_s, "out": args.out});
-        println!("{line:#}");
+        crpl_sitl::outln!("{line:#}");
     } else {
         let o = outcome;
-        println!(
+        crpl_sitl::outln!(
             "P_safe {:.4}, P_comm {:.4} at full power, J {:.4}",
-            o.motion.p_safe, o.motion.p_comm, o.motion.j
+            o.motion.p_safe,
+            o.motion.p_comm,
+            o.motion.j
         );
-        println!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
-        print!("{flown}");
+        crpl_sitl::outln!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
+        crpl_sitl::out!("{flown}");
         let file = args.out.join(format!("{kept}.safetensors"));
-        println!("{wall_s:.1} s, attempt {attempts}; {}", file.display());
+        crpl_sitl::outln!("{wall_s:.1} s, attempt {attempts}; {}", file.display());
     }
     flown.verdict()
 }
@@ -174,7 +176,9 @@ fn compare_limits(
     args: &Optimise,
 ) -> Result<()> {
     if !args.json {
-        println!("limits     J right   J left    margin             P_safe   P_safe flown  d_f flown");
+        crpl_sitl::outln!(
+            "limits     J right   J left    margin             P_safe   P_safe flown  d_f flown"
+        );
     }
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         let config = OptimiseConfig { limits, ..config.clone() };
@@ -183,9 +187,12 @@ fn compare_limits(
         let (outcome, flown) = (&made.outcome, &made.flown);
         let c = &outcome.comparison;
         if args.json {
-            println!("{}", serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown}));
+            crpl_sitl::outln!(
+                "{}",
+                serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown})
+            );
         } else {
-            println!(
+            crpl_sitl::outln!(
                 "{:<9} {:>8.4}  {:>8.4}  {:+.4} +- {:.4}  {:>8.4}   {:>8.4}      {:.4}",
                 format!("{limits:?}").to_lowercase(),
                 c.right.j,

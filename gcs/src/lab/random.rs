@@ -175,7 +175,7 @@ pub fn run(
 ) -> Result<()> {
     let mut rows = Vec::new();
     if !json {
-        println!(
+        crpl_sitl::outln!(
             "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s"
         );
     }
@@ -203,10 +203,10 @@ pub fn run(
             wall_s: made.wall_s,
         };
         if json {
-            println!("{}", serde_json::to_string(&row)?);
+            crpl_sitl::outln!("{}", serde_json::to_string(&row)?);
         } else {
-            println!("{}", text(&row));
-            row.refused.iter().for_each(|why| println!("       {why}"));
+            crpl_sitl::outln!("{}", text(&row));
+            row.refused.iter().for_each(|why| crpl_sitl::outln!("       {why}"));
         }
         rows.push(row);
     }
@@ -224,7 +224,7 @@ pub fn run(
     if json {
         eprintln!("{line}")
     } else {
-        println!("{line}")
+        crpl_sitl::outln!("{line}")
     }
     Ok(())
 }

@@ -161,7 +161,7 @@ pub fn run(args: &Sensitivity) -> Result<()> {
     let text = table(&done);
     let path = args.out.join("table.txt");
     fs::write(&path, &text).with_context(|| format!("writing {}", path.display()))?;
-    print!("{text}");
+    crpl_sitl::out!("{text}");
     Ok(())
 }
 

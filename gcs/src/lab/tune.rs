@@ -278,10 +278,10 @@ pub fn run(args: &Tune) -> Result<()> {
     write_whole(&path_table, table.as_bytes())
         .with_context(|| format!("writing {}", path_table.display()))?;
     if args.json {
-        println!("{}", serde_json::json!({"law": file, "paper": paper, "tuned": winner}));
+        crpl_sitl::outln!("{}", serde_json::json!({"law": file, "paper": paper, "tuned": winner}));
     } else {
-        print!("{table}");
-        println!("{} laws tried; {}", file.found.tried, path.display());
+        crpl_sitl::out!("{table}");
+        crpl_sitl::outln!("{} laws tried; {}", file.found.tried, path.display());
     }
     Ok(())
 }

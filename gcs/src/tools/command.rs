@@ -13,7 +13,6 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandAck;
 use crpl_sitl::link::packet::Packet;
-use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 /// Wait before a command is sent again: the standard's autopilots answer within 0.1 s.
 const RETRY: Duration = Duration::from_millis(700);
@@ -104,6 +103,8 @@ struct Pending {
 /// The commands under way.
 #[derive(Debug, Clone, Default)]
 pub struct CommandQueue {
+    /// System and component that ask.
+    asker: (u8, u8),
     pending: Vec<Pending>,
     waiting: VecDeque<CommandRequest>,
     done: VecDeque<(CommandRequest, CommandResult)>,
@@ -121,6 +122,7 @@ impl CommandQueue {
 
     /// Appends what is due by now to a datagram.
     pub fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        self.asker = station.source();
         let mut expired = Vec::new();
         for pending in &mut self.pending {
             if now < pending.due {
@@ -151,7 +153,7 @@ impl CommandQueue {
         const TEMPORARILY_REJECTED: u8 = 1;
         const IN_PROGRESS: u8 = 5;
         let Some(CommandAck { command, result, target, .. }) = CommandAck::of(packet) else { return };
-        let ours = target.is(STATION_SYSTEM, STATION_COMPONENT);
+        let ours = target.is(self.asker.0, self.asker.1);
         let answered = |p: &&mut Pending| {
             let (system, component) = p.request.target;
             p.request.command as u32 == u32::from(command)

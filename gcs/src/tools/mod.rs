@@ -1,8 +1,10 @@
-//! MAVLink tools for any vehicle: router, radio link, parameters, missions, commands, replay.
+//! MAVLink tools for any vehicle: router, radio link, parameters, missions, commands, replay, logs, keys.
 
 pub mod bridge;
 pub mod command;
 pub mod fleet;
+pub mod identity;
+pub mod key;
 pub mod link;
 pub mod mission;
 pub mod param;
@@ -10,3 +12,4 @@ pub mod parquet;
 pub mod replay;
 pub mod retry;
 pub mod session;
+pub mod tlog;

@@ -1,11 +1,14 @@
 //! `gcs replay`: a flight that is over, again on the wire, for any ground station to watch.
 //!
-//! A tlog is sent frame by frame, byte for byte, as far apart as the frames came. A `record.jsonl` is
+//! A tlog is sent frame by frame, byte for byte, as far apart as the frames came, also frames whose checksums
+//! fit no message that is known today; a clock that was set in flight is no pause. A `record.jsonl` is
 //! told as the vehicle told it: its report, its place on the map and its heartbeat. Commands that a
-//! station sent are left out of a tlog unless they are wanted: nobody is to fly by them.
+//! station sent are left out of a tlog unless they are wanted: nobody is to fly by them. Keys
+//! (SETUP_SIGNING) are never sent.
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::time::Duration;
@@ -13,13 +16,16 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::dialect::{
-    GLOBAL_POSITION_INT_DATA, HEARTBEAT_DATA, MavAutopilot, MavModeFlag, MavState, MavType,
+    GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA, GpsFixType, HEARTBEAT_DATA, MavAutopilot, MavModeFlag,
+    MavState, MavType, SETUP_SIGNING_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
-use crpl_sitl::link::splitter::Splitter;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::status::Heartbeat;
+use crpl_sitl::link::tlog::LogFrame;
 use crpl_sitl::link::wire::{self, Clock};
-use crpl_sitl::link::{AUTOPILOT, RADIO, STATION_SYSTEM};
+use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_SYSTEM};
 use crpl_sitl::program::terminal::{interrupted, positive};
 use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
 use crpl_sitl::sim::record::Record;
@@ -27,6 +33,12 @@ use crpl_sitl::vehicle::geodesy;
 use tokio::time::{Instant, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
+use crate::tools::tlog;
+
+/// A pause that is longer is announced.
+const LONG: Duration = Duration::from_secs(10);
+/// MAV_TYPE_GCS.
+const GCS: u8 = 6;
 
 /// Flags of `gcs replay`.
 #[derive(Debug, Clone, clap::Args)]
@@ -63,11 +75,11 @@ pub async fn run(args: Replay) -> Result<()> {
         hub.sign_with(path)?;
     }
     for endpoint in &args.forward {
-        println!("forward: {}", hub.open(endpoint).await?);
+        crpl_sitl::outln!("forward: {}", hub.open(endpoint).await?);
     }
     // A port of ours has no listener before one has spoken to it.
     if !args.forward.iter().any(Endpoint::speaks_at_once) {
-        println!("waiting for a connection");
+        crpl_sitl::outln!("waiting for a connection");
         while hub.router().links().count() < 2 {
             tokio::select! {
                 () = hub.turn() => {}
@@ -78,6 +90,10 @@ pub async fn run(args: Replay) -> Result<()> {
     let start = Instant::now();
     for (after, bytes) in &script {
         let due = start + after.div_f64(args.speed);
+        let pause = due.saturating_duration_since(Instant::now());
+        if pause > LONG {
+            tracing::info!("the log has a pause here: {:.0} s until the next message", pause.as_secs_f64());
+        }
         while Instant::now() < due {
             tokio::select! {
                 () = hub.turn() => {}
@@ -87,11 +103,11 @@ pub async fn run(args: Replay) -> Result<()> {
             while hub.take().is_some() {}
             hub.notices();
         }
-        hub.send(bytes).await;
+        hub.broadcast(bytes).await;
     }
     let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
     hub.close().await;
-    println!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
+    crpl_sitl::outln!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
     Ok(())
 }
 
@@ -109,44 +125,39 @@ fn script(path: &Path, all: bool) -> Result<Script> {
     Ok(script)
 }
 
-/// The frames of a tlog: 8 bytes of time before each. An end that is cut off, as a crash leaves it, is
-/// told and left out. Without `all`, so are the frames of stations.
+/// The frames of a tlog. What is none is told and left out, as is an end that is cut off.
 ///
 /// # Errors
-/// It is no tlog.
+/// There is no frame in it.
 pub fn from_tlog(bytes: &[u8], all: bool) -> Result<Script> {
-    let (mut script, mut at, mut first) = (Script::new(), 0, None);
-    while at < bytes.len() {
-        let Some((time, frame)) = stamped(&bytes[at..]) else {
-            if bytes.get(at + 8).is_none_or(|magic| matches!(magic, 0xFD | 0xFE)) {
-                tracing::warn!("byte {at}: the last frame is cut off");
-                break;
-            }
-            bail!("byte {at}: no MAVLink frame; is this a tlog?");
-        };
-        let mut sender = None;
-        Splitter::default().split(frame, |frame| sender = Some(frame.system));
-        let Some(sender) = sender else { bail!("byte {at}: a frame with a wrong checksum") };
-        let first = *first.get_or_insert(time);
-        if all || sender != STATION_SYSTEM {
-            script.push((Duration::from_micros(time.saturating_sub(first)), frame.to_vec()));
-        }
-        at += 8 + frame.len();
+    let (frames, counts) = tlog::timed(bytes);
+    if counts.frames == 0 {
+        bail!("no MAVLink frame; is this a tlog?");
     }
-    Ok(script)
-}
-
-/// The time in µs and the frame at the beginning of `bytes`.
-fn stamped(bytes: &[u8]) -> Option<(u64, &[u8])> {
-    let time = u64::from_be_bytes(*bytes.first_chunk()?);
-    let rest = &bytes[8..];
-    let length = usize::from(*rest.get(1)?);
-    let whole = match rest[0] {
-        0xFD => 12 + length + if rest.get(2)? & 1 == 1 { 13 } else { 0 },
-        0xFE => 8 + length,
-        _ => return None,
+    for (count, what) in [
+        (counts.bad_crc, "frames with a checksum that does not fit: sent as they are"),
+        (counts.skipped, "bytes between frames: left out"),
+        (counts.cut, "bytes of a last frame that is cut off: left out"),
+    ] {
+        if count > 0 {
+            tracing::warn!("{count} {what}");
+        }
+    }
+    let is_station = |frame: &LogFrame<'_>| {
+        frame.packet.system == STATION_SYSTEM
+            || Heartbeat::of(frame.packet).is_some_and(|beat| beat.kind == GCS)
     };
-    Some((time, rest.get(..whole)?))
+    let stations: BTreeSet<(u8, u8)> = frames
+        .iter()
+        .filter(|(_, frame)| is_station(frame))
+        .map(|(_, frame)| (frame.packet.system, frame.packet.component))
+        .collect();
+    let wanted = |frame: &LogFrame<'_>| {
+        let sender = (frame.packet.system, frame.packet.component);
+        frame.packet.id != SETUP_SIGNING_DATA::ID && (all || !stations.contains(&sender))
+    };
+    let frames = frames.iter().filter(|(_, frame)| wanted(frame));
+    Ok(frames.map(|(after, frame)| (*after, frame.packet.raw.to_vec())).collect())
 }
 
 /// The scenario that a run folder holds beside its records, else the paper's.
@@ -210,8 +221,8 @@ fn push_heartbeat(autopilot: &mut Encoder, datagram: &mut Vec<u8>) {
     autopilot.push(datagram, &message);
 }
 
-/// Where a map shows it.
-fn push_place(
+/// Where a map shows it, as GLOBAL_POSITION_INT and as GPS_RAW_INT, from which tracks are drawn.
+pub fn push_place(
     report: &Telemetry,
     clock: &Clock,
     scenario: &Scenario,
@@ -233,6 +244,20 @@ fn push_place(
         hdg: u16::MAX,
     };
     autopilot.push(datagram, &message);
+    let fix = GPS_RAW_INT_DATA {
+        time_usec: u64::from(message.time_boot_ms) * 1000,
+        lat,
+        lon,
+        alt: message.alt,
+        eph: u16::MAX,
+        epv: u16::MAX,
+        vel: f64::from(report.velocity[0].hypot(report.velocity[1]) * 100.0) as u16,
+        cog: u16::MAX,
+        fix_type: GpsFixType::GPS_FIX_TYPE_3D_FIX,
+        satellites_visible: 12,
+        ..Default::default()
+    };
+    autopilot.push(datagram, &fix);
 }
 
 #[cfg(test)]
@@ -279,13 +304,17 @@ mod tests {
             assert_eq!(from_tlog(&bytes[..bytes.len() - cut], true).unwrap().len(), 3);
         }
         let error = from_tlog(b"this is a text file, of course", false).unwrap_err().to_string();
-        assert_eq!(error, "byte 0: no MAVLink frame; is this a tlog?");
-        let mut broken = bytes;
-        broken[20] ^= 1;
-        assert_eq!(
-            from_tlog(&broken, false).unwrap_err().to_string(),
-            "byte 0: a frame with a wrong checksum"
-        );
+        assert_eq!(error, "no MAVLink frame; is this a tlog?");
+    }
+
+    /// Report G3: one frame of a message that was redefined since, and nothing was sent.
+    #[test]
+    fn a_frame_whose_checksum_is_unknown_is_sent_byte_for_byte() {
+        let (mut bytes, mut frames) = tlog();
+        bytes[20] ^= 1;
+        frames[0][12] ^= 1;
+        let script = from_tlog(&bytes, true).unwrap();
+        assert_eq!(script.into_iter().map(|(_, frame)| frame).collect::<Vec<_>>(), frames);
     }
 
     #[test]

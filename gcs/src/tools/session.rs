@@ -9,27 +9,30 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::link::decoder::Decoder;
-use crpl_sitl::link::dialect::{self, MavAutopilot, MavCmd, MavModeFlag, MavState, MavType};
+use crpl_sitl::link::dialect::MavCmd;
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::packet::Packet;
-use crpl_sitl::link::{AUTOPILOT, MessageData, STATION_COMPONENT, STATION_SYSTEM};
+use crpl_sitl::link::{AUTOPILOT, MessageData};
 use crpl_sitl::program::terminal::interrupted;
 use tokio::time::{Instant, Interval, interval, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
 use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{Fleet, HeardVehicle, News};
+use crate::tools::identity::Identity;
 
 /// Heartbeats of every component, by the standard.
 const HEARTBEAT: Duration = Duration::from_secs(1);
+/// How often it is said that nobody has been heard yet.
+const PATIENCE: Duration = Duration::from_secs(5);
 /// In this time every vehicle on a link has beaten once.
 const GATHER: Duration = Duration::from_millis(1200);
 
 /// Whom to talk to.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LinkFlags {
-    /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
+    /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin, serial:DEVICE:BAUD
     #[arg(long, value_name = "ENDPOINT", default_value = "udpout:127.0.0.1:14550")]
     pub connect: Endpoint,
     /// System id of the vehicle [default: the only one on the link]
@@ -44,13 +47,23 @@ pub struct LinkFlags {
     /// How long to wait for the vehicle's first heartbeat
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     pub timeout: u64,
+    /// Who asks
+    #[command(flatten)]
+    pub identity: Identity,
 }
 
 impl LinkFlags {
     /// The autopilot of the only vehicle at this endpoint.
     #[must_use]
     pub fn to(connect: Endpoint) -> Self {
-        Self { connect, sysid: None, component: AUTOPILOT, signing_key: None, timeout: 10 }
+        Self {
+            connect,
+            sysid: None,
+            component: AUTOPILOT,
+            signing_key: None,
+            timeout: 10,
+            identity: Identity::default(),
+        }
     }
 }
 
@@ -72,6 +85,9 @@ pub trait Exchange {
 #[derive(Debug)]
 pub struct Session {
     connect: Endpoint,
+    identity: Identity,
+    /// Packets that have come, of anybody.
+    heard: u64,
     hub: Hub,
     station: Encoder,
     decoder: Decoder,
@@ -98,8 +114,11 @@ impl Session {
         }
         let mut session = Self {
             connect: link.connect.clone(),
+            identity: link.identity,
+            heard: 0,
             hub,
-            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
+            // Until the vehicle is known, a companion takes it for the first.
+            station: link.identity.encoder(link.sysid.unwrap_or(1)),
             decoder: Decoder::default(),
             fleet: Fleet::default(),
             commands: CommandQueue::default(),
@@ -109,14 +128,22 @@ impl Session {
             start: Instant::now(),
         };
         session.system = session.find(link).await?;
+        let station = link.identity.encoder(session.system);
+        if station.source() != session.station.source() {
+            session.station = station;
+        }
         Ok(session)
     }
 
     /// The vehicle that is wanted, or the only one.
     async fn find(&mut self, link: &LinkFlags) -> Result<u8> {
         let deadline = Duration::from_secs(link.timeout);
-        let mut until = deadline;
+        let (mut until, mut told) = (deadline, PATIENCE);
         loop {
+            if self.now() >= told && self.fleet.systems().is_empty() {
+                told = self.now() + PATIENCE;
+                tracing::info!("waiting for a vehicle at {}: {}", link.connect, self.silence(link));
+            }
             let systems = self.fleet.systems();
             match link.sysid {
                 Some(id) if systems.contains(&id) => return Ok(id),
@@ -126,20 +153,38 @@ impl Session {
                 _ => {}
             }
             if self.now() < until {
-                self.turn(Some(until)).await?;
+                self.turn(Some(until.min(told.max(self.now())))).await?;
                 continue;
             }
             let heard: Vec<_> = systems.iter().map(ToString::to_string).collect();
             let heard = heard.join(", ");
             match (link.sysid, &systems[..]) {
                 (None, &[only]) => return Ok(only),
-                (_, []) => bail!(
-                    "{}: no vehicle heard for {} s; is one there, and does it speak on that port?",
-                    link.connect,
-                    link.timeout
-                ),
+                (_, []) => {
+                    bail!("{}: no vehicle heard for {} s: {}", link.connect, link.timeout, self.silence(link))
+                }
                 (None, _) => bail!("{}: vehicles {heard} are there: choose one by --sysid", link.connect),
                 (Some(id), _) => bail!("{}: no vehicle {id}; heard: {heard}", link.connect),
+            }
+        }
+    }
+
+    /// Why no vehicle may have been heard.
+    fn silence(&self, link: &LinkFlags) -> String {
+        let refused = self.hub.refused();
+        match (refused, self.heard, &link.signing_key) {
+            (1.., _, Some(key)) => format!(
+                "{refused} packets have come whose signatures do not fit {}; is it the vehicle's key?",
+                key.display()
+            ),
+            (_, 1.., _) => format!("{} packets have come, and none of an autopilot", self.heard),
+            (_, _, Some(key)) => format!(
+                "is one there, does it speak on that port, and is the key in {} its own?",
+                key.display()
+            ),
+            (_, _, None) => {
+                "is one there, does it speak on that port, and does it want signatures (--signing-key)?"
+                    .into()
             }
         }
     }
@@ -182,7 +227,7 @@ impl Session {
             () = until(wake) => {}
             _ = self.beat.tick() => {
                 let mut datagram = Vec::new();
-                push_heartbeat(&mut self.station, &mut datagram);
+                self.identity.push_heartbeat(&mut self.station, &mut datagram);
                 self.hub.send(&datagram).await;
             }
             signal = interrupted() => bail!(signal.exit("nothing more is asked")),
@@ -191,6 +236,7 @@ impl Session {
         let (now, mut ours) = (self.now(), Vec::new());
         while let Some(datagram) = self.hub.take() {
             for packet in self.decoder.datagram(&datagram) {
+                self.heard += 1;
                 self.fleet.packet(&packet, now).iter().for_each(News::log);
                 self.commands.packet(&packet, now);
                 if packet.system == self.system {
@@ -225,6 +271,18 @@ impl Session {
         }
     }
 
+    /// What the vehicle says in this time.
+    ///
+    /// # Errors
+    /// A signal.
+    pub async fn listen(&mut self, time: Duration) -> Result<Vec<Packet>> {
+        let (deadline, mut heard) = (self.now() + time, Vec::new());
+        while self.now() < deadline {
+            heard.extend(self.turn(Some(deadline)).await?);
+        }
+        Ok(heard)
+    }
+
     /// Asks for one message by REQUEST_MESSAGE; `None` if the vehicle does not send it.
     ///
     /// # Errors
@@ -250,12 +308,24 @@ impl Session {
     /// # Errors
     /// What the exchange ends with, and a signal.
     pub async fn run<E: Exchange>(&mut self, exchange: &mut E) -> Result<E::Output> {
+        let target = self.target();
+        self.run_with(exchange, target).await
+    }
+
+    /// The same with another component of the vehicle.
+    ///
+    /// # Errors
+    /// As [`Session::run`].
+    pub async fn run_with<E: Exchange>(
+        &mut self,
+        exchange: &mut E,
+        (system, component): (u8, u8),
+    ) -> Result<E::Output> {
         loop {
             let (now, mut datagram) = (self.now(), Vec::new());
             exchange.poll(now, &mut self.station, &mut datagram);
             if let Some(outcome) = exchange.outcome() {
                 self.send(&datagram).await;
-                let (system, component) = self.target();
                 return outcome
                     .map_err(anyhow::Error::msg)
                     .with_context(|| format!("vehicle {system} component {component}"));
@@ -285,17 +355,4 @@ async fn until(instant: Option<Instant>) {
         Some(instant) => sleep_until(instant).await,
         None => std::future::pending().await,
     }
-}
-
-/// The heartbeat of a ground station.
-pub fn push_heartbeat(station: &mut Encoder, datagram: &mut Vec<u8>) {
-    let message = dialect::HEARTBEAT_DATA {
-        custom_mode: 0,
-        mavtype: MavType::MAV_TYPE_GCS,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-        base_mode: MavModeFlag::empty(),
-        system_status: MavState::MAV_STATE_ACTIVE,
-        mavlink_version: 3,
-    };
-    station.push(datagram, &message);
 }

@@ -76,10 +76,10 @@ pub fn run(args: &Evaluate) -> Result<()> {
     let results = serde_json::to_value(&measured.report)?;
     write(&args.out.join("evaluation.json"), &results)?;
     if args.json {
-        println!("{results:#}");
+        crpl_sitl::outln!("{results:#}");
     } else {
-        print!("{}", measured.report.table());
-        println!("figures and results in {}", args.out.display());
+        crpl_sitl::out!("{}", measured.report.table());
+        crpl_sitl::outln!("figures and results in {}", args.out.display());
     }
     Ok(())
 }

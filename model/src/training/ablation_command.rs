@@ -111,9 +111,9 @@ pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
             .zip(&tables)
             .map(|(name, hard)| serde_json::json!({ "model": name, "hard": hard }))
             .collect();
-        println!("{:#}", serde_json::Value::from(all));
+        crpl_sitl::outln!("{:#}", serde_json::Value::from(all));
     } else {
-        print!("{}", robustness::table(&names, &tables));
+        crpl_sitl::out!("{}", robustness::table(&names, &tables));
     }
     Ok(())
 }

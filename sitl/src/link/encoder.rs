@@ -25,6 +25,12 @@ impl Encoder {
         Self { system, component, sequence: 0 }
     }
 
+    /// System and component that send.
+    #[must_use]
+    pub fn source(&self) -> (u8, u8) {
+        (self.system, self.component)
+    }
+
     /// Appends a frame to a datagram.
     pub fn push<M: MessageData>(&mut self, datagram: &mut Vec<u8>, message: &M) {
         let mut frame = MAVLinkV2MessageRaw::new();

@@ -14,7 +14,7 @@
 //! | [`messages`] | payloads by named fields: where in a message a field is |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
-//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `tcpin:`, `tcpout:` |
+//! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `udpbcast:`, `tcpin:`, `tcpout:`, `serial:DEVICE:BAUD` |
 //! | [`links`] | several endpoints at once, as one source and sink of bytes |
 //! | [`param_file`] | `.param` files |
 //! | [`sequence`] | what sequence numbers tell: missing, late |
@@ -65,12 +65,33 @@ impl std::fmt::Display for PeerId {
     }
 }
 
+/// The name of a message, if the dialect has it: `HEARTBEAT` for 0.
+#[must_use]
+pub fn message_name(id: u32) -> Option<&'static str> {
+    use mavlink::Message;
+    dialect::MavMessage::default_message_from_id(id).map(|message| message.message_name())
+}
+
+/// The id of a message by its name or by its number.
+#[must_use]
+pub fn message_id(text: &str) -> Option<u32> {
+    use mavlink::Message;
+    let named = || dialect::MavMessage::message_id_from_name(&text.to_ascii_uppercase());
+    text.parse().ok().filter(|id| *id < 1 << 24).or_else(named)
+}
+
 /// Component id of the autopilot (MAV_COMP_ID_AUTOPILOT1).
 pub const AUTOPILOT: u8 = 1;
 /// Component id of the radio (MAV_COMP_ID_TELEMETRY_RADIO).
 pub const RADIO: u8 = 68;
 /// Component id of the camera (MAV_COMP_ID_CAMERA).
 pub const CAMERA: u8 = 100;
+/// Component id of a satellite receiver (MAV_COMP_ID_GPS).
+pub const GPS: u8 = 220;
+/// Component id of a router between UDP links (MAV_COMP_ID_UDP_BRIDGE).
+pub const BRIDGE: u8 = 240;
+/// Component id of a companion computer (MAV_COMP_ID_ONBOARD_COMPUTER).
+pub const COMPANION: u8 = 191;
 /// System id of the ground station.
 pub const STATION_SYSTEM: u8 = 255;
 /// Component id of the ground station (MAV_COMP_ID_MISSIONPLANNER, as ground stations do).

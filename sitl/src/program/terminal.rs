@@ -28,10 +28,41 @@ pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> Ex
     match work(args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            complain(&format!("error: {}", one_line(&error)));
-            error.downcast_ref::<ExitWith>().map_or(ExitCode::FAILURE, |exit| exit.code.into())
+            let line = one_line(&error);
+            complain(&format!("error: {line}"));
+            let exit = error.downcast_ref::<ExitWith>();
+            // An end with a code of its own has told its results already.
+            if exit.is_none() && std::env::args().any(|arg| arg == "--json") {
+                say(&serde_json::json!({ "error": line }).to_string());
+            }
+            exit.map_or(ExitCode::FAILURE, |exit| exit.code.into())
         }
     }
+}
+
+/// Prints a part of a result to stdout. A reader that has gone away ends the program quietly; a result that
+/// cannot be written, on a full disk for one, ends it with an error.
+pub fn print(text: std::fmt::Arguments<'_>) {
+    let mut stdout = std::io::stdout().lock();
+    let Err(error) = stdout.write_fmt(text).and_then(|()| stdout.flush()) else { return };
+    if error.kind() == std::io::ErrorKind::BrokenPipe {
+        std::process::exit(0);
+    }
+    eprintln!("error: writing to stdout: {error}");
+    std::process::exit(1);
+}
+
+/// `print!` that does not panic: [`print`](crate::program::terminal::print).
+#[macro_export]
+macro_rules! out {
+    ($($arg:tt)*) => { $crate::program::terminal::print(format_args!($($arg)*)) };
+}
+
+/// `println!` that does not panic: [`print`](crate::program::terminal::print).
+#[macro_export]
+macro_rules! outln {
+    () => { $crate::out!("\n") };
+    ($($arg:tt)*) => { $crate::program::terminal::print(format_args!("{}\n", format_args!($($arg)*))) };
 }
 
 /// An end of a program with an exit code of its own.

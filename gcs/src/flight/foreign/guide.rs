@@ -8,10 +8,13 @@
 //! | mode | DO_SET_MODE(1, 4), GUIDED | DO_SET_MODE(1, 6), OFFBOARD |
 //! | arm | COMPONENT_ARM_DISARM 1, again until its checks pass | the same |
 //! | climb | NAV_TAKEOFF | position setpoints above the start |
-//! | flight | accelerations at 20 Hz, mask 3135 | the same |
+//! | flight | speeds with accelerations fed forward, at 20 Hz, mask 3079 | the same |
 //! | end | mode BRAKE | mode HOLD |
 //!
-//! A vehicle that leaves its mode by itself or by an operator's hand gets no more setpoints.
+//! A vehicle that flies already is brought to its height by position setpoints. One that leaves its mode by
+//! itself or by an operator's hand, from its arming on, gets no more setpoints; its texts tell which of both it
+//! was. A flight that fails asks for BRAKE or HOLD until that is acknowledged. The link's round trip is
+//! measured by TIMESYNC; a link that is too slow is refused.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -20,15 +23,16 @@ use clap::ValueEnum;
 use crpl_sitl::Scenario;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
-    COMMAND_LONG_DATA, LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity,
-    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    ATTITUDE_DATA, BATTERY_STATUS_DATA, COMMAND_LONG_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA,
+    LOCAL_POSITION_NED_DATA, MavCmd, MavFrame, MavMessage, MavSeverity, PositionTargetTypemask,
+    SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA, SYS_STATUS_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
-use crpl_sitl::link::messages::service::RequestDataStream;
+use crpl_sitl::link::messages::service::{RequestDataStream, Timesync};
 use crpl_sitl::link::messages::telemetry::LocalPositionNed;
 use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::packet::Packet;
-use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM};
+use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO};
 use crpl_sitl::radio::message::{Command, Percept};
 
 use super::Foreign;
@@ -37,7 +41,6 @@ use super::tracking::{Tracker, hold_height};
 use crate::flight::FlightEnd;
 use crate::tools::command::{CommandQueue, CommandRequest, CommandResult};
 use crate::tools::fleet::{self, Fleet, News};
-use crate::tools::session::push_heartbeat;
 
 /// The autopilot whose protocol a foreign vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -61,6 +64,32 @@ const AGAIN: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_secs(90);
 /// How long the vehicle may not say where it is, in wall time.
 const SILENCE: Duration = Duration::from_secs(3);
+/// How long a vehicle is asked to hold its place when a flight has failed.
+const LAST_ASKED: Duration = Duration::from_secs(10);
+/// How long a vehicle that has left its mode is listened to: its texts may come behind its heartbeat.
+const REASONS: Duration = Duration::from_millis(1500);
+/// How old a text may be that tells why a mode was left.
+const TEXT_COUNTS: Duration = Duration::from_secs(5);
+/// How often it is said what is waited for.
+const TOLD_AGAIN: Duration = Duration::from_secs(10);
+/// Longest round trip of a link over which a flight begins, s of the vehicle's time; measured so often.
+const LONGEST_TRIP: f64 = 1.0;
+const TRIPS: usize = 3;
+const TRIP_EVERY: Duration = Duration::from_millis(300);
+/// How long it is waited for them: not every vehicle answers.
+const TRIP_WAIT: Duration = Duration::from_secs(3);
+/// Above its origin, m, an armed vehicle flies.
+const AIRBORNE_M: f32 = 1.5;
+/// Texts of a vehicle that acts by itself.
+const FAILSAFES: [&str; 8] = ["failsafe", "crash", "fence", "battery", "glitch", "ekf", "gps", "disarming"];
+/// Messages that a log of the flight wants, and how often, µs.
+const LOGGED: [(u32, f32); 5] = [
+    (ATTITUDE_DATA::ID, 250_000.0),
+    (GLOBAL_POSITION_INT_DATA::ID, 250_000.0),
+    (GPS_RAW_INT_DATA::ID, 500_000.0),
+    (SYS_STATUS_DATA::ID, 1_000_000.0),
+    (BATTERY_STATUS_DATA::ID, 1_000_000.0),
+];
 /// How far back the vehicle's clock goes only if it has started anew.
 const RESTART: Duration = Duration::from_secs(2);
 /// How far the vehicle may leave the paper's square, in its units: there the camera sees it no more.
@@ -69,8 +98,8 @@ const FENCE: f64 = 0.1;
 const NEAR_M: f64 = 0.7;
 const SLOW_MPS: f64 = 0.3;
 
-/// type_mask: acceleration alone.
-const MASK_ACCEL: u16 = 0x0C3F;
+/// type_mask: speed and acceleration.
+const MASK_SPEED: u16 = 0x0C07;
 /// type_mask: position alone.
 const MASK_POSITION: u16 = 0x0DF8;
 const STREAM_ALL: u8 = 0;
@@ -90,8 +119,10 @@ pub enum GuideEvent {
     Over(Percept),
     /// The vehicle stands and keeps its place; the end.
     Holding,
-    /// The vehicle has left its mode, and why.
+    /// The vehicle has left its mode by an operator's hand, and why.
     TakenOver(String),
+    /// The vehicle has left its mode by itself, and why.
+    Failsafe(String),
     /// It cannot go on, how that counts once it flies, and why.
     Failed(FlightEnd, String),
 }
@@ -106,6 +137,8 @@ enum GuidePhase {
     Climb,
     Flying,
     Braking,
+    /// It has left its mode.
+    Left,
     Done,
 }
 
@@ -150,8 +183,24 @@ pub struct Guide {
     next_tick: Duration,
     retry: Option<Duration>,
     asked: Option<MavCmd>,
-    /// The newest complaint of the vehicle.
+    /// The newest complaint of the vehicle, and when it came.
     complaint: String,
+    complained: Duration,
+    texts: Texts,
+    /// Why it holds its place, if not because the flight is over.
+    failing: Option<(FlightEnd, String)>,
+    /// Why it has left its mode, by its heartbeat.
+    left: String,
+    /// It flew when it was found.
+    airborne: bool,
+    /// A command to the newest percept has not come yet, and is late.
+    undecided: bool,
+    late: bool,
+    /// Round trips, s of the vehicle's time, newest last, and when the next is measured.
+    trips: VecDeque<f64>,
+    next_trip: Duration,
+    first_trip: Option<Duration>,
+    told: Duration,
     events: VecDeque<GuideEvent>,
 }
 
@@ -166,7 +215,7 @@ impl Guide {
             ticks,
             phase: GuidePhase::Waiting,
             since: Duration::ZERO,
-            station: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
+            station: foreign.identity.encoder(foreign.system.unwrap_or(1)),
             decoder: Decoder::default(),
             fleet: Fleet::paced(foreign.speed),
             commands: CommandQueue::default(),
@@ -183,6 +232,17 @@ impl Guide {
             retry: None,
             asked: None,
             complaint: String::new(),
+            complained: Duration::ZERO,
+            texts: Texts::default(),
+            failing: None,
+            left: String::new(),
+            airborne: false,
+            undecided: false,
+            late: false,
+            trips: VecDeque::new(),
+            next_trip: Duration::ZERO,
+            first_trip: None,
+            told: Duration::ZERO,
             events: VecDeque::new(),
         }
     }
@@ -225,15 +285,29 @@ impl Guide {
             if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
                 self.place = Some(place);
             }
-        } else if packet.is::<STATUSTEXT_DATA>()
-            && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
-        {
-            let text = message.text.to_str().unwrap_or_default().to_owned();
-            if message.severity as u8 <= MavSeverity::MAV_SEVERITY_WARNING as u8 {
+        } else if let Some((severity, text)) = self.texts.packet(packet) {
+            if severity <= MavSeverity::MAV_SEVERITY_WARNING as u8 {
                 self.complaint.clone_from(&text);
+                self.complained = now;
             }
             self.say(format!("vehicle: {text}"));
+        } else if let Some(sync) = Timesync::of(packet).filter(|sync| sync.tc1 != 0) {
+            self.measured(sync.ts1, now);
         }
+    }
+
+    /// A TIMESYNC has come back; `asked` is our own stamp, ns.
+    fn measured(&mut self, asked: i64, now: Duration) {
+        let Some(asked) = u64::try_from(asked).ok().map(Duration::from_nanos) else { return };
+        let Some(trip) = now.checked_sub(asked).filter(|trip| *trip < PATIENCE) else { return };
+        self.trips.push_back(trip.as_secs_f64() * self.foreign.speed);
+        self.trips.drain(..self.trips.len().saturating_sub(TRIPS));
+    }
+
+    /// The shortest of the last round trips, s of the vehicle's time, once there are enough.
+    #[must_use]
+    pub fn round_trip(&self) -> Option<f64> {
+        (self.trips.len() == TRIPS).then(|| self.trips.iter().copied().fold(f64::INFINITY, f64::min))
     }
 
     fn news(&mut self, news: News, now: Duration) {
@@ -251,16 +325,23 @@ impl Guide {
                         .fail(FlightEnd::LinkLost, format!("{news}, and not what --vehicle {name} flies"));
                 }
                 self.system = Some(id);
+                let station = self.foreign.identity.encoder(id);
+                if station.source() != self.station.source() {
+                    self.station = station;
+                }
                 self.request_streams(id, now);
             }
             News::Mode(id, _, mode) if Some(id) == self.system => {
                 self.say(news.to_string());
-                if self.phase == GuidePhase::Flying && !mode.takes_setpoints() {
-                    self.taken_over(&news.to_string());
+                if self.has_control() && !mode.takes_setpoints() {
+                    self.leave(news.to_string(), now);
                 }
             }
-            News::Armed(id, false) if Some(id) == self.system && self.phase == GuidePhase::Flying => {
-                self.taken_over(&news.to_string());
+            News::Armed(id, false)
+                if Some(id) == self.system
+                    && matches!(self.phase, GuidePhase::Climb | GuidePhase::Flying) =>
+            {
+                self.leave(news.to_string(), now);
             }
             _ => self.say(news.to_string()),
         }
@@ -270,6 +351,49 @@ impl Guide {
         let params = [LOCAL_POSITION_NED_DATA::ID as f32, REPORT_US];
         let request = CommandRequest::new(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, params, (system, AUTOPILOT));
         self.commands.request(request, now);
+        for (id, every) in LOGGED {
+            let params = [id as f32, every];
+            let command = MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL;
+            self.commands.request(CommandRequest::new(command, params, (system, AUTOPILOT)), now);
+        }
+    }
+
+    /// Whether it has taken its mode from us and not left it.
+    fn has_control(&self) -> bool {
+        matches!(self.phase, GuidePhase::Arm | GuidePhase::Climb | GuidePhase::Flying)
+    }
+
+    /// It has left its mode: from now on it gets no setpoint. Its texts will tell why.
+    fn leave(&mut self, why: String, now: Duration) {
+        let complaint = (std::mem::take(&mut self.complaint), self.complained);
+        self.enter(GuidePhase::Left, now);
+        (self.complaint, self.complained) = complaint;
+        self.left = why;
+    }
+
+    /// By whom its mode was left.
+    fn judge(&mut self, now: Duration) {
+        let lower = self.complaint.to_lowercase();
+        let counts = now.saturating_sub(self.complained) < TEXT_COUNTS + REASONS;
+        if counts && FAILSAFES.iter().any(|word| lower.contains(word)) {
+            self.phase = GuidePhase::Done;
+            let why = format!("{}; it says: {}", self.left, self.complaint);
+            self.events.push_back(GuideEvent::Failsafe(why));
+        } else {
+            let why = std::mem::take(&mut self.left);
+            self.taken_over(&why);
+        }
+    }
+
+    /// The flight ends so, once the vehicle holds its place or does not answer.
+    fn fail_held(&mut self, how: FlightEnd, why: String, now: Duration) {
+        if matches!(self.phase, GuidePhase::Climb | GuidePhase::Flying | GuidePhase::Arm) {
+            self.say(format!("{why}: it is asked to hold its place"));
+            self.enter(GuidePhase::Braking, now);
+            self.failing = Some((how, why));
+        } else {
+            self.fail(how, why);
+        }
     }
 
     /// Somebody else flies from now on.
@@ -308,7 +432,7 @@ impl Guide {
     pub fn poll(&mut self, now: Duration) -> Vec<u8> {
         let mut datagram = Vec::new();
         if now >= self.next_beat {
-            push_heartbeat(&mut self.station, &mut datagram);
+            self.foreign.identity.push_heartbeat(&mut self.station, &mut datagram);
             self.next_beat = now + Duration::from_secs(1);
         }
         for news in self.fleet.poll(now) {
@@ -316,6 +440,13 @@ impl Guide {
         }
         while let Some((request, result)) = self.commands.take() {
             self.answered(&request, result, &mut datagram, now);
+        }
+        if let Some(system) = self.system.filter(|_| now >= self.next_trip) {
+            self.next_trip = now + self.wall(TRIP_EVERY);
+            self.first_trip.get_or_insert(now);
+            let target = Target { system, component: AUTOPILOT };
+            let sync = Timesync { tc1: 0, ts1: now.as_nanos() as i64, target };
+            self.station.push_view(&mut datagram, &sync);
         }
         self.step(now);
         self.commands.poll(now, &mut self.station, &mut datagram);
@@ -331,6 +462,8 @@ impl Guide {
         now: Duration,
     ) {
         match request.command {
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL
+                if request.params[0] != LOCAL_POSITION_NED_DATA::ID as f32 => {}
             MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if result != CommandResult::Accepted => {
                 self.say(format!("message interval {result}: asking for data streams"));
                 let (system, component) = request.target;
@@ -355,35 +488,68 @@ impl Guide {
     /// The step's command was accepted.
     fn accepted(&mut self, command: MavCmd, now: Duration) {
         match (self.phase, command) {
-            (GuidePhase::Mode, MavCmd::MAV_CMD_DO_SET_MODE) => self.enter(GuidePhase::Arm, now),
-            (GuidePhase::Arm, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM) => self.enter(GuidePhase::Climb, now),
-            (GuidePhase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => {
-                self.phase = GuidePhase::Done;
-                self.events.push_back(GuideEvent::Holding);
+            (GuidePhase::Mode, MavCmd::MAV_CMD_DO_SET_MODE) => {
+                self.enter(if self.airborne { GuidePhase::Climb } else { GuidePhase::Arm }, now);
+                self.events.extend(self.system.map(GuideEvent::TakeControl));
             }
+            (GuidePhase::Arm, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM) => self.enter(GuidePhase::Climb, now),
+            (GuidePhase::Braking, MavCmd::MAV_CMD_DO_SET_MODE) => match self.failing.take() {
+                Some((how, why)) => self.fail(how, format!("{why}; it holds its place")),
+                None => {
+                    self.phase = GuidePhase::Done;
+                    self.events.push_back(GuideEvent::Holding);
+                }
+            },
             _ => {}
         }
     }
 
     /// Goes on where it can.
     fn step(&mut self, now: Duration) {
+        let long = Duration::from_secs(1_000_000);
         let patience = match self.phase {
-            GuidePhase::Flying | GuidePhase::Done => Duration::MAX,
+            GuidePhase::Flying | GuidePhase::Done | GuidePhase::Left => long,
+            GuidePhase::Braking if self.failing.is_some() => LAST_ASKED,
             _ => PATIENCE,
         };
-        if now.saturating_sub(self.since) > self.wall(patience.min(Duration::from_secs(1_000_000))) {
-            return self.too_long();
+        if now.saturating_sub(self.since) > self.wall(patience) {
+            return self.too_long(now);
         }
+        match self.phase {
+            GuidePhase::Left if now.saturating_sub(self.since) >= REASONS => return self.judge(now),
+            GuidePhase::Left => return,
+            // Where it is does not matter for this.
+            GuidePhase::Braking => {
+                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now);
+            }
+            _ => {}
+        }
+        self.tell_waiting(now);
         let Some(place) = self.place.filter(|_| self.known()) else { return };
         if self.phase != GuidePhase::Done && now.saturating_sub(place.at) > SILENCE {
-            return self.fail(
-                FlightEnd::LinkLost,
-                format!("the vehicle has not said where it is for {} s", SILENCE.as_secs()),
-            );
+            let why = format!("the vehicle has not said where it is for {} s", SILENCE.as_secs());
+            return self.fail_held(FlightEnd::LinkLost, why, now);
         }
         match self.phase {
             GuidePhase::Waiting => {
+                let measures = self.first_trip.is_none_or(|at| now.saturating_sub(at) < self.wall(TRIP_WAIT));
+                if self.round_trip().is_none() && measures {
+                    return;
+                }
+                if let Some(trip) = self.round_trip().filter(|trip| *trip > LONGEST_TRIP) {
+                    let why = format!(
+                        "the link's round trip is {trip:.2} s, and no flight begins above {LONGEST_TRIP} s"
+                    );
+                    return self.fail(FlightEnd::LinkLost, why);
+                }
                 self.ground = place.position;
+                let armed = self.system.and_then(|id| self.fleet.get(id)).is_some_and(|v| v.armed);
+                if armed && place.position[2] < -AIRBORNE_M {
+                    self.airborne = true;
+                    self.ground[2] = 0.0;
+                    self.say(format!("it flies already, {:.1} m above its origin", -place.position[2]));
+                }
+                self.announce();
                 let next = if self.foreign.stack == ForeignStack::Px4 {
                     GuidePhase::Prestream
                 } else {
@@ -399,8 +565,7 @@ impl Guide {
             GuidePhase::Arm => self.ask_once(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, &[1.0], now),
             GuidePhase::Climb => self.climb(&place, now),
             GuidePhase::Flying => self.tick(&place, now),
-            GuidePhase::Braking => self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now),
-            GuidePhase::Prestream | GuidePhase::Done => {}
+            GuidePhase::Prestream | GuidePhase::Braking | GuidePhase::Left | GuidePhase::Done => {}
         }
     }
 
@@ -408,18 +573,49 @@ impl Guide {
         self.system.is_some_and(|system| self.fleet.get(system).is_some())
     }
 
-    fn too_long(&mut self) {
-        let what = match self.phase {
+    fn too_long(&mut self, now: Duration) {
+        if let Some((how, why)) = self.failing.take() {
+            return self.fail(how, format!("{why}; it did not answer when it was asked to hold its place"));
+        }
+        let what = self.obstacle();
+        let complaint = self.complaint_text();
+        let why = format!("{what}, {} s long{complaint}", PATIENCE.as_secs());
+        self.fail_held(FlightEnd::LinkLost, why, now);
+    }
+
+    /// What keeps it from going on.
+    fn obstacle(&self) -> &'static str {
+        match self.phase {
             GuidePhase::Waiting if self.system.is_none() || !self.known() => "no vehicle heard",
-            GuidePhase::Waiting => "the vehicle does not say where it is (LOCAL_POSITION_NED)",
+            GuidePhase::Waiting => {
+                "the vehicle does not say where it is (LOCAL_POSITION_NED); without GPS or a position it cannot"
+            }
             GuidePhase::Mode | GuidePhase::Prestream => "the vehicle does not take its mode",
             GuidePhase::Arm => "the vehicle does not arm",
             GuidePhase::Climb => "the vehicle does not reach its height",
             _ => "the vehicle does not hold its place",
-        };
-        let complaint =
-            if self.complaint.is_empty() { String::new() } else { format!("; it says: {}", self.complaint) };
-        self.fail(FlightEnd::LinkLost, format!("{what}, {} s long{complaint}", PATIENCE.as_secs()));
+        }
+    }
+
+    fn complaint_text(&self) -> String {
+        if self.complaint.is_empty() { String::new() } else { format!("; it says: {}", self.complaint) }
+    }
+
+    /// Says now and then what is waited for.
+    fn tell_waiting(&mut self, now: Duration) {
+        let waits = matches!(
+            self.phase,
+            GuidePhase::Waiting | GuidePhase::Mode | GuidePhase::Arm | GuidePhase::Climb
+        );
+        if waits && now.saturating_sub(self.since.max(self.told)) >= TOLD_AGAIN {
+            self.told = now;
+            self.say(format!("still waiting: {}{}", self.obstacle(), self.complaint_text()));
+        }
+    }
+
+    /// Says before the vehicle moves where it will fly.
+    fn announce(&mut self) {
+        self.say(super::FlightPlan::of(&self.scenario).to_string());
     }
 
     fn ask_once(&mut self, command: MavCmd, params: &[f32], now: Duration) {
@@ -455,7 +651,7 @@ impl Guide {
     }
 
     fn climb(&mut self, place: &ReportedPlace, now: Duration) {
-        if self.foreign.stack == ForeignStack::Ardupilot {
+        if self.foreign.stack == ForeignStack::Ardupilot && !self.airborne {
             let altitude = self.scenario.scale.altitude_m as f32;
             self.ask_once(MavCmd::MAV_CMD_NAV_TAKEOFF, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, altitude], now);
         }
@@ -467,7 +663,6 @@ impl Guide {
                 Some(ForeignScene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
             self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
-            self.events.extend(self.system.map(GuideEvent::TakeControl));
             self.tick(place, now);
         }
     }
@@ -477,8 +672,21 @@ impl Guide {
         if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
             return self.fail(FlightEnd::Rebooted, "the vehicle has started anew in flight".into());
         }
+        if let Some(trip) = self.round_trip().filter(|trip| *trip > 2.0 * LONGEST_TRIP) {
+            let why = format!("the link's round trip has grown to {trip:.2} s");
+            return self.fail_held(FlightEnd::LinkLost, why, now);
+        }
         let period = self.period();
         let Some(scene) = self.scene.as_mut().filter(|_| place.boot >= self.next_tick) else { return };
+        if self.undecided {
+            // The controller is not ready: an interval passes without it, and the vehicle brakes meanwhile.
+            scene.skip();
+            self.next_tick += period;
+            if !std::mem::replace(&mut self.late, true) {
+                self.say("the controller's decision is late: the vehicle brakes until it is there".into());
+            }
+            return;
+        }
         let ([north, east, _], [vn, ve, _]) = (place.position, place.velocity);
         self.next_tick += period;
         while place.boot >= self.next_tick {
@@ -496,6 +704,7 @@ impl Guide {
             self.enter(GuidePhase::Braking, now);
             self.events.push_back(GuideEvent::Over(percept));
         } else {
+            self.undecided = true;
             self.events.push_back(GuideEvent::Percept(percept));
         }
     }
@@ -509,6 +718,7 @@ impl Guide {
     pub fn fly(&mut self, command: &Command, now: Duration) -> Vec<u8> {
         let mut datagram = Vec::new();
         let (Some(scene), Some(system)) = (self.scene.as_mut(), self.system) else { return datagram };
+        (self.undecided, self.late) = (false, false);
         self.wish = scene.pass(command);
         if self.fleet.get(system).is_some_and(|vehicle| vehicle.components.contains(&RADIO)) {
             let power = COMMAND_LONG_DATA {
@@ -525,14 +735,43 @@ impl Guide {
         datagram
     }
 
-    /// Makes the vehicle stay where it is, at once.
-    pub fn let_go(&mut self, now: Duration) -> Vec<u8> {
-        let mut datagram = Vec::new();
-        if !matches!(self.phase, GuidePhase::Waiting | GuidePhase::Done) {
+    /// The controller decides nothing any more.
+    pub fn controller_failed(&mut self, now: Duration) {
+        self.fail_held(FlightEnd::LinkLost, "the controller has failed".into(), now);
+    }
+
+    /// Makes the vehicle stay where it is: [`GuideEvent::Holding`] once it has acknowledged that. Whether there
+    /// is anything to wait for.
+    pub fn let_go(&mut self, now: Duration) -> bool {
+        let flies = self.has_control() || self.phase == GuidePhase::Braking;
+        if self.has_control() {
             self.enter(GuidePhase::Braking, now);
-            self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now);
-            self.commands.poll(now, &mut self.station, &mut datagram);
+            // A mode that was asked for before is answered before.
+            self.failing = None;
         }
+        flies
+    }
+
+    /// Whether the vehicle's heartbeats are missing.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.system.is_some_and(|system| self.fleet.is_lost(system))
+    }
+
+    /// Whether its motors may turn.
+    #[must_use]
+    pub fn is_armed(&self) -> bool {
+        self.system.and_then(|system| self.fleet.get(system)).is_some_and(|vehicle| vehicle.armed)
+    }
+
+    /// A heartbeat, and who is heard: all that is left to do when the flight is over.
+    pub fn idle(&mut self, now: Duration) -> Vec<u8> {
+        let mut datagram = Vec::new();
+        if now >= self.next_beat {
+            self.foreign.identity.push_heartbeat(&mut self.station, &mut datagram);
+            self.next_beat = now + Duration::from_secs(1);
+        }
+        let _ = self.fleet.poll(now);
         datagram
     }
 
@@ -552,7 +791,9 @@ impl Guide {
             ..Default::default()
         };
         let mask = match self.phase {
-            GuidePhase::Prestream | GuidePhase::Mode | GuidePhase::Arm | GuidePhase::Climb if px4 => {
+            GuidePhase::Prestream | GuidePhase::Mode | GuidePhase::Arm | GuidePhase::Climb
+                if px4 || (self.airborne && self.phase == GuidePhase::Climb) =>
+            {
                 [message.x, message.y] = [self.ground[0], self.ground[1]];
                 message.z = self.height() as f32;
                 MASK_POSITION
@@ -563,17 +804,47 @@ impl Guide {
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);
                 let here = [place.position[0], place.position[1]];
                 let room = self.scene.as_ref().map_or([[f64::INFINITY; 2]; 2], |scene| scene.room(here));
-                let [north, east] = self.tracker.step(self.wish, velocity, room, dt);
-                let (z, vz) = (f64::from(place.position[2]), f64::from(place.velocity[2]));
-                message.afx = north as f32;
-                message.afy = east as f32;
-                message.afz = hold_height(z, vz, self.height()) as f32;
-                MASK_ACCEL
+                let wish = if self.late { self.tracker.against(dt) } else { self.wish };
+                let asked = self.tracker.step(wish, velocity, room, dt);
+                [message.vx, message.vy] = asked.velocity.map(|v| v as f32);
+                [message.afx, message.afy] = asked.accel.map(|a| a as f32);
+                message.vz = hold_height(f64::from(place.position[2]), self.height()) as f32;
+                MASK_SPEED
             }
             _ => return,
         };
         message.type_mask = PositionTargetTypemask::from_bits_retain(mask);
         self.station.push(datagram, &message);
+    }
+}
+
+/// Texts of a vehicle, of which long ones come in several parts.
+#[derive(Debug, Default)]
+struct Texts {
+    /// Number, severity and what has come of a text that goes on.
+    open: Option<(u16, u8, String)>,
+}
+
+impl Texts {
+    /// A whole text and its severity, if this packet ends one.
+    fn packet(&mut self, packet: &Packet) -> Option<(u8, String)> {
+        const LENGTH: usize = 50;
+        if !packet.is::<STATUSTEXT_DATA>() {
+            return None;
+        }
+        let Some(MavMessage::STATUSTEXT(message)) = packet.message() else { return None };
+        let part = message.text.to_str().unwrap_or_default();
+        let severity = message.severity as u8;
+        if message.id == 0 {
+            return Some((severity, part.to_owned()));
+        }
+        let begun = self.open.take().filter(|(id, ..)| *id == message.id && message.chunk_seq > 0);
+        let text = begun.map_or_else(String::new, |(.., text)| text) + part;
+        if part.len() < LENGTH {
+            return Some((severity, text));
+        }
+        self.open = Some((message.id, severity, text));
+        None
     }
 }
 

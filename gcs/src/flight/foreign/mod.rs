@@ -15,20 +15,28 @@ pub mod guide;
 pub mod scene;
 pub mod tracking;
 
+use std::path::PathBuf;
 use std::pin::pin;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
-use crpl_sitl::program::terminal::interrupted;
-use tokio::time::{Instant, sleep_until};
+use crpl_sitl::program::terminal::{self, Signal};
+use crpl_sitl::radio::message::{Command, Percept};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, interval, sleep_until};
 
 use crate::flight::{Crew, Flight, FlightEnd, Options};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
+use crate::tools::identity::Identity;
 use guide::{ForeignStack, Guide, GuideEvent};
+
+/// How long a vehicle is asked to hold its place at the end.
+const LAST_WORDS: Duration = Duration::from_secs(5);
 
 /// Which vehicle, and how.
 #[derive(Debug, Clone, Copy)]
@@ -39,18 +47,109 @@ pub struct Foreign {
     pub system: Option<u8>,
     /// Speed of its simulator relative to real time.
     pub speed: f64,
+    /// Who flies.
+    pub identity: Identity,
+}
+
+/// Where a vehicle will fly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlightPlan {
+    /// Above its start, m.
+    pub altitude_m: f64,
+    /// Side of the square, m.
+    pub field_m: f64,
+    /// Largest speed, m/s.
+    pub v_max: f64,
+}
+
+impl FlightPlan {
+    /// Of a scenario.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        let scale = &scenario.scale;
+        let v_max = scenario.dynamics.v_max * scale.mps_per_speed();
+        Self { altitude_m: scale.altitude_m, field_m: scale.metres_per_unit, v_max }
+    }
+
+    /// Whether it is larger than what is flown without a question.
+    #[must_use]
+    pub fn is_large(&self) -> bool {
+        self.altitude_m > 50.0 || self.field_m > 150.0 || self.v_max > 10.0
+    }
+}
+
+impl std::fmt::Display for FlightPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { altitude_m, field_m, v_max } = self;
+        write!(
+            f,
+            "the vehicle would climb to {altitude_m:.0} m and fly in a square of {field_m:.0} m whose north is up, \
+             at {v_max:.1} m/s at most"
+        )
+    }
 }
 
 /// Takes the vehicle off and flies `crew` on it.
 ///
 /// # Errors
 /// Whatever keeps the flight from beginning; later events are in [`Flight::ended`].
-pub async fn fly(
+pub async fn fly<C: Crew + Send + 'static>(
     connect: &Endpoint,
     scenario: &Scenario,
     foreign: &Foreign,
     options: &Options,
-    crew: &mut impl Crew,
+    crew: C,
+) -> Result<(Flight, C)> {
+    let mut bench = ControllerThread::seat(crew);
+    let flight = fly_with(connect, scenario, foreign, options, &mut bench).await?;
+    Ok((flight, bench.rise()?))
+}
+
+/// A crew on a thread of its own: a slow decision holds up neither setpoints nor heartbeats.
+struct ControllerThread<C> {
+    ask: std::sync::mpsc::Sender<Percept>,
+    answers: mpsc::UnboundedReceiver<Result<Decision>>,
+    thread: JoinHandle<C>,
+}
+
+/// A command, and the tlog if this is the first.
+struct Decision {
+    command: Command,
+    tlog: Option<PathBuf>,
+}
+
+impl<C: Crew + Send + 'static> ControllerThread<C> {
+    fn seat(mut crew: C) -> Self {
+        let (ask, asked) = std::sync::mpsc::channel::<Percept>();
+        let (answer, answers) = mpsc::unbounded_channel();
+        let thread = std::thread::spawn(move || {
+            let mut first = true;
+            for percept in asked {
+                let tlog = if std::mem::take(&mut first) { crew.begin() } else { Ok(None) };
+                let decision = tlog.map(|tlog| Decision { command: crew.command(&percept), tlog });
+                if answer.send(decision).is_err() {
+                    break;
+                }
+                crew.sent();
+            }
+            crew
+        });
+        Self { ask, answers, thread }
+    }
+
+    /// The crew again, when it has finished what it does.
+    fn rise(self) -> Result<C> {
+        drop(self.ask);
+        self.thread.join().map_err(|_| anyhow!("the controller has failed"))
+    }
+}
+
+async fn fly_with<C>(
+    connect: &Endpoint,
+    scenario: &Scenario,
+    foreign: &Foreign,
+    options: &Options,
+    bench: &mut ControllerThread<C>,
 ) -> Result<Flight> {
     let mut hub = options.open(connect).await?;
     let ticks = options.ticks.unwrap_or(scenario.horizon);
@@ -58,7 +157,10 @@ pub async fn fly(
     let start = Instant::now();
     let mut flight = Flight::default();
     let mut begun = None;
-    let mut interrupted = pin!(interrupted());
+    let mut arrived = Instant::now();
+    let mut interrupted = pin!(terminal::interrupted());
+    // The signal that ends the flight, and how long the vehicle is asked to hold its place.
+    let mut stopping: Option<(Signal, Duration)> = None;
     loop {
         let now = start.elapsed();
         let datagram = guide.poll(now);
@@ -70,43 +172,69 @@ pub async fn fly(
                 GuideEvent::Say(text) => tracing::info!("{text}"),
                 GuideEvent::TakeControl(system) => hub.take_control(Some(system)),
                 GuideEvent::Percept(percept) => {
-                    if begun.is_none()
-                        && let Some(tlog) = crew.begin()?
-                    {
-                        hub.log_to(&tlog)?;
-                    }
-                    let arrived = Instant::now();
-                    let command = crew.command(&percept);
-                    let datagram = guide.fly(&command, start.elapsed());
-                    hub.send(&datagram).await;
-                    flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                    arrived = Instant::now();
                     flight.wall = arrived - *begun.get_or_insert(arrived);
-                    flight.last = Some(percept);
-                    crew.sent();
+                    flight.last = Some(percept.clone());
+                    if bench.ask.send(percept).is_err() {
+                        guide.controller_failed(start.elapsed());
+                    }
                 }
                 GuideEvent::Over(percept) => flight.last = Some(percept),
-                GuideEvent::Holding => return Ok(end(hub, flight, FlightEnd::Over, String::new()).await),
+                GuideEvent::Holding => {
+                    if let Some((signal, _)) = stopping {
+                        let why = format!("{signal}: the vehicle holds its place");
+                        return Ok(end(hub, flight, FlightEnd::Interrupted(signal), why).await);
+                    }
+                    pass_on(&mut hub, &mut guide, start, options).await;
+                    return Ok(end(hub, flight, FlightEnd::Over, String::new()).await);
+                }
                 GuideEvent::TakenOver(why) => {
                     tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
                     let why = format!("the operator has taken over: {why}");
+                    pass_on(&mut hub, &mut guide, start, options).await;
                     return Ok(end(hub, flight, FlightEnd::TakenOver, why).await);
+                }
+                GuideEvent::Failsafe(why) => {
+                    tracing::warn!("the vehicle acts by itself ({why}): no more setpoints from here");
+                    pass_on(&mut hub, &mut guide, start, options).await;
+                    return Ok(end(hub, flight, FlightEnd::Failsafe, why).await);
                 }
                 GuideEvent::Failed(how, why) if begun.is_some() => {
                     tracing::warn!("the flight ends: {why}");
+                    pass_on(&mut hub, &mut guide, start, options).await;
                     return Ok(end(hub, flight, how, format!("{connect}: {why}")).await);
                 }
                 GuideEvent::Failed(_, why) => bail!("{connect}: {why}"),
             }
         }
+        if let Some((signal, until)) = stopping
+            && start.elapsed() >= until
+        {
+            let why = format!("{signal}: the vehicle did not answer when it was asked to hold its place");
+            return Ok(end(hub, flight, FlightEnd::Interrupted(signal), why).await);
+        }
         let due = start + guide.due().max(now + Duration::from_millis(1));
         tokio::select! {
             () = hub.turn() => {}
             () = sleep_until(due) => {}
-            signal = &mut interrupted => {
-                let datagram = guide.let_go(start.elapsed());
+            Some(decision) = bench.answers.recv() => {
+                let Decision { command, tlog } = decision?;
+                if let Some(tlog) = tlog {
+                    hub.log_to(&tlog)?;
+                }
+                let datagram = guide.fly(&command, start.elapsed());
                 hub.send(&datagram).await;
-                let why = format!("{signal}: the vehicle was asked to hold its place");
-                return Ok(end(hub, flight, FlightEnd::Interrupted(signal), why).await);
+                flight.latencies_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+            }
+            signal = &mut interrupted => {
+                let now = start.elapsed();
+                if stopping.is_some() || !guide.let_go(now) {
+                    let why = format!("{signal}: the vehicle was left as it was");
+                    return Ok(end(hub, flight, FlightEnd::Interrupted(signal), why).await);
+                }
+                tracing::warn!("{signal}: the vehicle is asked to hold its place; once more ends at once");
+                stopping = Some((signal, now + LAST_WORDS));
+                interrupted.set(terminal::interrupted());
             }
         }
         for notice in hub.notices() {
@@ -118,6 +246,34 @@ pub async fn fly(
         while let Some(datagram) = hub.take() {
             guide.datagram(&datagram, start.elapsed());
         }
+    }
+}
+
+/// The flight is over, and others may talk to the vehicle through this program: goes on passing their messages
+/// to and fro until a signal comes, the vehicle is disarmed or its link is lost.
+async fn pass_on(hub: &mut Hub, guide: &mut Guide, start: Instant, options: &Options) {
+    if options.forward.is_empty() {
+        return;
+    }
+    hub.take_control(None);
+    tracing::info!("messages are passed on until the vehicle is disarmed, or Ctrl-C");
+    let mut interrupted = pin!(terminal::interrupted());
+    let mut beat = interval(Duration::from_secs(1));
+    while guide.is_armed() && !guide.is_lost() {
+        tokio::select! {
+            () = hub.turn() => {}
+            _ = beat.tick() => {
+                hub.save();
+                let datagram = guide.idle(start.elapsed());
+                hub.send(&datagram).await;
+            }
+            _ = &mut interrupted => return,
+        }
+        hub.notices().iter().for_each(|notice| tell(notice, hub));
+        while let Some(datagram) = hub.take() {
+            guide.datagram(&datagram, start.elapsed());
+        }
+        while guide.take().is_some() {}
     }
 }
 

@@ -22,7 +22,7 @@ use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::units::Tick;
 
 use crate::tools::fleet::{Fleet, FlightMode, News};
-use crate::tools::session::push_heartbeat;
+use crate::tools::identity::Identity;
 
 /// Something worth acting on.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,6 +61,9 @@ pub struct Remote {
     /// Repeats since the newest percept.
     repeats: u32,
     fleet: Fleet,
+    identity: Identity,
+    /// Whether the vehicle says where on the map it is.
+    on_map: bool,
 }
 
 /// Old reports in a row after which the vehicle's time has gone back: fewer may be late ones.
@@ -89,7 +92,21 @@ impl Remote {
             command: None,
             repeats: 0,
             fleet: Fleet::default(),
+            identity: Identity::default(),
+            on_map: false,
         }
+    }
+
+    /// With the heartbeats of this program.
+    #[must_use]
+    pub fn speaking_as(self, identity: Identity) -> Self {
+        Self { identity, ..self }
+    }
+
+    /// Whether the vehicle says where on the map it is.
+    #[must_use]
+    pub fn is_on_map(&self) -> bool {
+        self.on_map
     }
 
     /// With those who were heard before: a change of mode since then is news.
@@ -111,6 +128,7 @@ impl Remote {
     }
 
     fn packet(&mut self, packet: &Packet, now: Duration, events: &mut Vec<RemoteEvent>) {
+        self.on_map |= packet.is::<dialect::GLOBAL_POSITION_INT_DATA>();
         if let Some(report) = self.reports.push(packet, &self.clock) {
             self.older = if Some(report.tick) < self.newest { self.older + 1 } else { 0 };
             if let Some(newest) = self.newest.filter(|_| self.older == REBOOT) {
@@ -208,7 +226,7 @@ impl Remote {
     /// The station's heartbeat.
     pub fn heartbeat(&mut self) -> Vec<u8> {
         let mut datagram = Vec::new();
-        push_heartbeat(&mut self.station, &mut datagram);
+        self.identity.push_heartbeat(&mut self.station, &mut datagram);
         datagram
     }
 

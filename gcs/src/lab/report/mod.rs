@@ -108,13 +108,13 @@ pub fn run(args: &Report) -> Result<()> {
         if args.what == "all" {
             rows.extend(all_sweeps(&mut page, &out, &mut models, args)?);
             rows.extend(rollouts(&mut page));
-            println!("{}", rows::counts(&rows));
+            crpl_sitl::outln!("{}", rows::counts(&rows));
         }
     }
     write(&out, "verdicts.csv", &rows::csv(&rows))?;
     page.text(&format!("Made by gcs {} at revision {}.", env!("CARGO_PKG_VERSION"), crate::revision()));
     write(&out, "index.html", &page.html())?;
-    println!("{}, with figures and tables beside it", out.join("index.html").display());
+    crpl_sitl::outln!("{}, with figures and tables beside it", out.join("index.html").display());
     Ok(())
 }
 
@@ -149,7 +149,7 @@ fn scenarios(page: &mut Page, out: &Path, models: &mut Models, args: &Report) ->
     for scenario in &flown {
         let verdicts = scenario.verdicts(&flown);
         scenario.show(page, out, &verdicts)?;
-        println!("{}", scenario.text(&verdicts));
+        crpl_sitl::outln!("{}", scenario.text(&verdicts));
         rows.extend(verdicts);
     }
     Ok(rows)
@@ -177,7 +177,7 @@ fn all_sweeps(page: &mut Page, out: &Path, models: &mut Models, args: &Report) -
 fn show(finished: &Finished, page: &mut Page, out: &Path, words: &str) -> Result<Vec<VerdictRow>> {
     let verdicts = finished.verdicts();
     finished.show(page, out, words, &verdicts)?;
-    println!("{}", finished.text(&verdicts));
+    crpl_sitl::outln!("{}", finished.text(&verdicts));
     Ok(verdicts)
 }
 

@@ -227,11 +227,14 @@ pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()
     let rows: Vec<TableRow> = table::rows(&folder.plan, episodes);
     if json {
         for row in &rows {
-            println!("{}", serde_json::to_string(row)?);
+            crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         }
     } else {
-        print!("{}", table::text(&folder.plan, &rows));
-        println!("\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}", folder.dir().display());
+        crpl_sitl::out!("{}", table::text(&folder.plan, &rows));
+        crpl_sitl::outln!(
+            "\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
+            folder.dir().display()
+        );
     }
     Ok(())
 }

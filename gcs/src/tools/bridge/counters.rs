@@ -28,6 +28,10 @@ pub struct Counters {
     pub sent_bytes: u64,
     /// Datagrams that the system would not send.
     pub send_errors: u64,
+    /// Frames that a filter of the link kept back, in either direction.
+    pub filtered: u64,
+    /// Frames that were not sent because the link's rate was used up.
+    pub limited: u64,
     /// From a request that was passed on to its answer on this link: commands, TIMESYNC, PING.
     pub round_trip: Histogram,
     /// When the last good frame came, on the router's clock.
@@ -39,6 +43,27 @@ impl Counters {
     #[must_use]
     pub fn received(&self) -> u64 {
         self.frames.frames + self.frames.mavlink1
+    }
+
+    /// Adds all that another link has carried.
+    pub fn merge(&mut self, other: &Self) {
+        self.frames = self.frames.plus(other.frames);
+        for (mine, theirs) in [
+            (&mut self.received_bytes, other.received_bytes),
+            (&mut self.missing, other.missing),
+            (&mut self.late, other.late),
+            (&mut self.duplicates, other.duplicates),
+            (&mut self.refused, other.refused),
+            (&mut self.sent_frames, other.sent_frames),
+            (&mut self.sent_bytes, other.sent_bytes),
+            (&mut self.send_errors, other.send_errors),
+            (&mut self.filtered, other.filtered),
+            (&mut self.limited, other.limited),
+        ] {
+            *mine += theirs;
+        }
+        self.round_trip.merge(&other.round_trip);
+        self.last_heard = self.last_heard.max(other.last_heard);
     }
 
     /// What a frame's sequence number has told.
@@ -133,7 +158,7 @@ pub fn table(rows: &[LinkRow<'_>], before: &[(u64, u64)], period: Duration) -> S
 #[must_use]
 pub fn prometheus(rows: &[LinkRow<'_>], forward: &Histogram, now: Duration) -> String {
     type Value = fn(&Counters) -> f64;
-    let counters: [(&str, &str, Value); 13] = [
+    let counters: [(&str, &str, Value); 15] = [
         ("received_frames", "Good frames received.", |c| c.received() as f64),
         ("received_bytes", "Bytes received.", |c| c.received_bytes as f64),
         ("missing_frames", "Frames not there when a later one of their sender came.", |c| c.missing as f64),
@@ -147,6 +172,8 @@ pub fn prometheus(rows: &[LinkRow<'_>], forward: &Histogram, now: Duration) -> S
         ("sent_frames", "Frames sent.", |c| c.sent_frames as f64),
         ("sent_bytes", "Bytes sent.", |c| c.sent_bytes as f64),
         ("send_errors", "Datagrams that could not be sent.", |c| c.send_errors as f64),
+        ("filtered_frames", "Frames that a filter kept back.", |c| c.filtered as f64),
+        ("limited_frames", "Frames beyond the link's rate.", |c| c.limited as f64),
     ];
     let mut out = String::new();
     let label = |row: &LinkRow<'_>| format!("link=\"{}\"", row.name.replace(['\\', '"'], "_"));

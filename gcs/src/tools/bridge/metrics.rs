@@ -1,4 +1,4 @@
-//! `GET /metrics` over HTTP/1.1, which is all that Prometheus asks for. Any other path is 404, any
+//! `GET /metrics` over HTTP/1.1, which is all that Prometheus asks for, and HEAD. Any other path is 404, any
 //! other method 405; a client that sends too much or too slowly is dropped.
 
 use std::net::SocketAddr;
@@ -62,12 +62,12 @@ async fn answer(mut stream: TcpStream, sender: &mpsc::Sender<Scrape>) -> Result<
     let mut words = line.split(' ');
     let (method, path) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     let (status, body) = match (method, path.split('?').next()) {
-        ("GET", Some("/metrics")) => {
+        ("GET" | "HEAD", Some("/metrics")) => {
             let (reply, text) = oneshot::channel();
             sender.send(reply).await?;
             ("200 OK", text.await?)
         }
-        ("GET", _) => ("404 Not Found", "try /metrics\n".to_owned()),
+        ("GET" | "HEAD", _) => ("404 Not Found", "try /metrics\n".to_owned()),
         _ => ("405 Method Not Allowed", "GET only\n".to_owned()),
     };
     let head = format!(
@@ -76,7 +76,9 @@ async fn answer(mut stream: TcpStream, sender: &mpsc::Sender<Scrape>) -> Result<
         body.len()
     );
     stream.write_all(head.as_bytes()).await?;
-    stream.write_all(body.as_bytes()).await?;
+    if method != "HEAD" {
+        stream.write_all(body.as_bytes()).await?;
+    }
     stream.shutdown().await?;
     Ok(())
 }
@@ -104,6 +106,10 @@ mod tests {
         });
         let good = get(address, "GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n").await;
         assert!(good.starts_with("HTTP/1.1 200 OK\r\n") && good.ends_with("\r\n\r\nx_total 1\n"), "{good}");
+        let head = get(address, "HEAD /metrics HTTP/1.1\r\n\r\n").await;
+        assert!(
+            head.starts_with("HTTP/1.1 200") && head.ends_with("Length: 10\r\nConnection: close\r\n\r\n")
+        );
         assert!(get(address, "GET / HTTP/1.1\r\n\r\n").await.starts_with("HTTP/1.1 404"));
         assert!(get(address, "POST /metrics HTTP/1.1\r\n\r\n").await.starts_with("HTTP/1.1 405"));
         assert!(get(address, &"x".repeat(2 * HEAD)).await.is_empty());

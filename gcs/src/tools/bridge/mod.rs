@@ -7,6 +7,7 @@
 //! | [`signer`] | message signing | sockets |
 //! | [`counters`] | what is counted, as a table and for Prometheus | sockets |
 //! | [`metrics`] | `GET /metrics` | what it serves |
+//! | [`spec`] | an endpoint with rules, as it is typed | sockets |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it has the timers")]
 
@@ -15,28 +16,36 @@ pub mod hub;
 pub mod metrics;
 pub mod router;
 pub mod signer;
+pub mod spec;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Result;
-use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::link::dialect::{HEARTBEAT_DATA, MavAutopilot, MavState, MavType};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::{BRIDGE, STATION_SYSTEM};
 use crpl_sitl::program::terminal::{interrupted, say};
 use tokio::time::{Instant, interval_at};
 
 use hub::{Hub, LinkSide};
-use router::Notice;
+use router::{COPY_WITHIN, Notice};
+use spec::EndpointSpec;
 
 /// Flags of `gcs bridge`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Bridge {
-    /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
+    /// Endpoint of the vehicle: udpout:HOST:PORT, udpin, udpbcast, tcpout, tcpin or serial:DEVICE:BAUD;
+    /// repeatable. Rules may follow: ENDPOINT?group=NAME&rate=BYTES&only=MESSAGES&drop=MESSAGES&only-from=...
     #[arg(long, value_name = "ENDPOINT", required = true)]
-    connect: Vec<Endpoint>,
-    /// Endpoints of the tools that share the vehicle; repeatable
+    connect: Vec<EndpointSpec>,
+    /// Endpoints of the tools that share the vehicle, with rules if wanted; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
-    forward: Vec<Endpoint>,
+    forward: Vec<EndpointSpec>,
+    /// For how long the same bytes of one sender are copies, which are dropped; 0 forwards them all
+    #[arg(long, value_name = "SECONDS", default_value_t = COPY_WITHIN.as_secs_f64(), value_parser = seconds)]
+    copies: f64,
     /// Sign all messages to the vehicle, and accept only signed ones from it, with the key in this file: TOML
     /// with `key` (64 hexadecimal digits) or `passphrase`. The tools need no key
     #[arg(long, value_name = "FILE")]
@@ -61,13 +70,14 @@ const SAVE: Duration = Duration::from_secs(1);
 /// An endpoint, file or key that cannot be opened.
 pub async fn run(args: Bridge) -> Result<()> {
     let mut hub = Hub::default();
+    hub.copies_within(Duration::from_secs_f64(args.copies));
     if let Some(path) = &args.signing_key {
         hub.sign_vehicle_side(path)?;
     }
     let sides = [("vehicle", LinkSide::Vehicle, &args.connect), ("forward", LinkSide::Tools, &args.forward)];
     for (role, side, endpoints) in sides {
-        for endpoint in endpoints {
-            say(&format!("{role}: {}", hub.open_on(endpoint, side).await?));
+        for EndpointSpec { endpoint, rules } in endpoints {
+            say(&format!("{role}: {}", hub.open_on(endpoint, rules.clone(), side).await?));
         }
     }
     if let Some(path) = &args.tlog {
@@ -85,12 +95,34 @@ pub async fn run(args: Bridge) -> Result<()> {
     Ok(())
 }
 
+/// A flag's value: 0 to a day.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (0.0..=86_400.0).contains(&x) => Ok(x),
+        _ => Err("must be a number of seconds from 0 to 86400".into()),
+    }
+}
+
+/// A word for those who speak only when they are spoken to: no ground station's, which would keep a
+/// vehicle's failsafe quiet when the real station is lost.
+fn push_hello(bridge: &mut Encoder, datagram: &mut Vec<u8>) {
+    let message = HEARTBEAT_DATA {
+        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+        ..Default::default()
+    };
+    bridge.push(datagram, &message);
+}
+
 async fn route(
     hub: &mut Hub,
     mut scrapes: Option<tokio::sync::mpsc::Receiver<metrics::Scrape>>,
     period: Duration,
 ) -> Result<()> {
-    let mut tick = interval_at(Instant::now() + SAVE, SAVE);
+    let mut tick = interval_at(Instant::now(), SAVE);
+    let mut bridge = Encoder::new(STATION_SYSTEM, BRIDGE);
     let mut printed = Instant::now();
     let mut before = Vec::new();
     let mut interrupted = std::pin::pin!(interrupted());
@@ -99,6 +131,9 @@ async fn route(
             () = hub.turn() => {}
             _ = tick.tick() => {
                 hub.save();
+                let mut hello = Vec::new();
+                push_hello(&mut bridge, &mut hello);
+                hub.hello(&hello).await;
                 let since = printed.elapsed();
                 if !period.is_zero() && since >= period {
                     printed = Instant::now();

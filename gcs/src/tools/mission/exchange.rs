@@ -1,25 +1,78 @@
-//! The mission protocol from the station's side: upload, download, clear. No socket, no clock.
+//! The mission protocol from the station's side: upload, download, clear, of each of its three lists. No
+//! socket, no clock.
 //!
 //! In an upload the vehicle asks, by MISSION_REQUEST_INT or the older MISSION_REQUEST, and both are
 //! answered by MISSION_ITEM_INT, as the standard wants it. In a download we ask.
 
 use std::time::Duration;
 
-use crpl_sitl::link::dialect::{
-    MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_REQUEST_DATA,
-    MISSION_REQUEST_LIST_DATA,
-};
+use crpl_sitl::link::dialect::{MISSION_CLEAR_ALL_DATA, MISSION_REQUEST_DATA};
 use crpl_sitl::link::encoder::Encoder;
-use crpl_sitl::link::messages::mission::{MissionAck, MissionCount, MissionRequest};
+use crpl_sitl::link::messages::mission::{MissionAck, MissionCount, MissionList, MissionRequest};
 use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::packet::Packet;
-use crpl_sitl::link::{STATION_COMPONENT, STATION_SYSTEM};
 
 use super::item::Item;
 use crate::tools::retry::Question;
 use crate::tools::session::Exchange;
 
 const ACCEPTED: u8 = 0;
+
+/// A list of the mission protocol: MAV_MISSION_TYPE.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ListKind {
+    /// What is flown.
+    Mission = 0,
+    /// The geofence.
+    Fence = 1,
+    /// Rally points.
+    Rally = 2,
+    /// All three: to clear them.
+    All = 255,
+}
+
+impl std::fmt::Display for ListKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Mission => "mission",
+            Self::Fence => "fence",
+            Self::Rally => "rally points",
+            Self::All => "mission, fence and rally points",
+        })
+    }
+}
+
+/// Who talks to whom about what.
+#[derive(Debug, Clone, Copy)]
+struct Talk {
+    vehicle: (u8, u8),
+    /// Whoever asks, by its newest question.
+    us: (u8, u8),
+    kind: ListKind,
+}
+
+impl Talk {
+    fn about(kind: ListKind, vehicle: (u8, u8)) -> Self {
+        Self { vehicle, us: (0, 0), kind }
+    }
+
+    /// Whether a packet is the vehicle's, for us, and about this list.
+    fn is(&self, packet: &Packet, target: Target, kind: u8) -> bool {
+        (packet.system, packet.component) == self.vehicle
+            && target.is(self.us.0, self.us.1)
+            && kind == self.kind as u8
+    }
+
+    /// The result in a MISSION_ACK for us.
+    fn ack(&self, packet: &Packet) -> Option<u8> {
+        let ack = MissionAck::of(packet)?;
+        self.is(packet, ack.target, ack.mission_type).then_some(ack.result)
+    }
+
+    fn list(&self) -> MissionList {
+        MissionList { target: self.vehicle.into(), mission_type: self.kind as u8 }
+    }
+}
 
 /// MAV_MISSION_RESULT in words.
 fn refusal(result: u8) -> String {
@@ -44,32 +97,27 @@ fn refusal(result: u8) -> String {
     words.into()
 }
 
-/// Whether a packet is from the vehicle and its target is us.
-fn is_ours(packet: &Packet, vehicle: (u8, u8), target: Target) -> bool {
-    (packet.system, packet.component) == vehicle && target.is(STATION_SYSTEM, STATION_COMPONENT)
-}
-
-/// The result in a MISSION_ACK for us about a flight mission.
-fn ack_of(packet: &Packet, vehicle: (u8, u8)) -> Option<u8> {
-    let ack = MissionAck::of(packet)?;
-    (is_ours(packet, vehicle, ack.target) && ack.mission_type == 0).then_some(ack.result)
-}
-
-/// Gives the vehicle a mission.
+/// Gives the vehicle a list.
 #[derive(Debug)]
 pub struct Upload {
     items: Vec<Item>,
-    target: (u8, u8),
+    talk: Talk,
     /// The item that was asked for last.
     asked: Option<u16>,
     question: Question<()>,
 }
 
 impl Upload {
-    /// These items, to this system and component.
+    /// These items of a mission, to this system and component.
     #[must_use]
     pub fn new(items: Vec<Item>, target: (u8, u8)) -> Self {
-        Self { items, target, asked: None, question: Question::default() }
+        Self::of(ListKind::Mission, items, target)
+    }
+
+    /// The same of another list.
+    #[must_use]
+    pub fn of(kind: ListKind, items: Vec<Item>, target: (u8, u8)) -> Self {
+        Self { items, talk: Talk::about(kind, target), asked: None, question: Question::default() }
     }
 }
 
@@ -77,7 +125,7 @@ impl Exchange for Upload {
     type Output = ();
 
     fn packet(&mut self, packet: &Packet, now: Duration) {
-        if let Some(result) = ack_of(packet, self.target).filter(|_| self.question.retry.asked()) {
+        if let Some(result) = self.talk.ack(packet).filter(|_| self.question.retry.asked()) {
             let at =
                 self.asked.map_or(String::new(), |seq| format!(" (item {seq} was the last one asked for)"));
             let done = if result == ACCEPTED { Ok(()) } else { Err(refusal(result) + &at) };
@@ -88,7 +136,7 @@ impl Exchange for Upload {
             return;
         }
         let asked = MissionRequest::of(packet)
-            .filter(|ask| is_ours(packet, self.target, ask.target) && ask.mission_type == 0)
+            .filter(|ask| self.talk.is(packet, ask.target, ask.mission_type))
             .filter(|ask| usize::from(ask.seq) < self.items.len());
         if let Some(ask) = asked {
             self.asked = Some(ask.seq);
@@ -97,8 +145,9 @@ impl Exchange for Upload {
     }
 
     fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
+        self.talk.us = station.source();
         let silence = || match self.asked {
-            None => "no answer to a mission".into(),
+            None => format!("no answer to a {}", self.talk.kind),
             Some(sequence) => format!("no answer to item {sequence} of {}", self.items.len()),
         };
         if !self.question.fires(now, silence) {
@@ -106,16 +155,17 @@ impl Exchange for Upload {
         }
         match self.asked {
             None => {
-                let count = MISSION_COUNT_DATA {
+                let count = MissionCount {
                     count: self.items.len() as u16,
-                    target_system: self.target.0,
-                    target_component: self.target.1,
-                    ..Default::default()
+                    target: self.talk.vehicle.into(),
+                    mission_type: self.talk.kind as u8,
+                    opaque_id: 0,
                 };
-                station.push(datagram, &count);
+                station.push_view(datagram, &count);
             }
             Some(sequence) => {
-                let item = self.items[usize::from(sequence)].to_message(sequence, self.target);
+                let mut item = self.items[usize::from(sequence)].to_message(sequence, self.talk.vehicle);
+                item.mission_type = self.talk.kind as u8;
                 station.push_view(datagram, &item);
             }
         }
@@ -130,10 +180,10 @@ impl Exchange for Upload {
     }
 }
 
-/// Asks the vehicle for its mission.
+/// Asks the vehicle for a list.
 #[derive(Debug)]
 pub struct Download {
-    target: (u8, u8),
+    talk: Talk,
     count: Option<u16>,
     items: Vec<Item>,
     question: Question<()>,
@@ -143,11 +193,24 @@ pub struct Download {
 }
 
 impl Download {
-    /// Of this system and component.
+    /// The mission of this system and component.
     #[must_use]
     pub fn new(target: (u8, u8)) -> Self {
+        Self::of(ListKind::Mission, target)
+    }
+
+    /// Another list of it.
+    #[must_use]
+    pub fn of(kind: ListKind, target: (u8, u8)) -> Self {
         let question = Question::default();
-        Self { target, count: None, items: Vec::new(), question, old: false, thanked: false }
+        Self {
+            talk: Talk::about(kind, target),
+            count: None,
+            items: Vec::new(),
+            question,
+            old: false,
+            thanked: false,
+        }
     }
 
     fn whole(&self) -> bool {
@@ -162,14 +225,14 @@ impl Exchange for Download {
         if !self.question.retry.asked() || self.whole() {
             return;
         }
-        let count = MissionCount::of(packet)
-            .filter(|count| is_ours(packet, self.target, count.target) && count.mission_type == 0);
+        let count =
+            MissionCount::of(packet).filter(|count| self.talk.is(packet, count.target, count.mission_type));
         if let Some(MissionCount { count, .. }) = count {
             if self.count.is_none() {
                 self.count = Some(count);
                 self.question.retry.go_on(now);
             }
-        } else if let Some(result) = ack_of(packet, self.target) {
+        } else if let Some(result) = self.talk.ack(packet) {
             // The standard's way out for a vehicle that knows no integers.
             if self.count.is_some() && !self.old && result != ACCEPTED {
                 self.old = true;
@@ -178,7 +241,7 @@ impl Exchange for Download {
                 self.question.answered(Err(refusal(result)));
             }
         } else if let Some((sent, item)) = Item::of(packet)
-            && is_ours(packet, self.target, sent.target)
+            && self.talk.is(packet, sent.target, sent.mission_type)
             && self.count.is_some()
             && usize::from(sent.seq) == self.items.len()
         {
@@ -188,30 +251,28 @@ impl Exchange for Download {
     }
 
     fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
-        let (target_system, target_component) = self.target;
+        self.talk.us = station.source();
+        let (target, mission_type) = (self.talk.vehicle.into(), self.talk.kind as u8);
         if self.whole() {
             if !self.thanked {
                 self.thanked = true;
-                let ack = MISSION_ACK_DATA { target_system, target_component, ..Default::default() };
-                station.push(datagram, &ack);
+                let ack = MissionAck { target, result: ACCEPTED, mission_type, opaque_id: 0 };
+                station.push_view(datagram, &ack);
             }
             return;
         }
         let seq = self.items.len() as u16;
         let silence = || match self.count {
-            None => "no answer to a request for the mission".into(),
+            None => format!("no answer to a request for the {}", self.talk.kind),
             Some(of) => format!("item {seq} of {of} does not come"),
         };
         if !self.question.fires(now, silence) {
             return;
         }
         match self.count {
-            None => {
-                let ask = MISSION_REQUEST_LIST_DATA { target_system, target_component, ..Default::default() };
-                station.push(datagram, &ask);
-            }
+            None => station.push_view(datagram, &self.talk.list()),
             Some(_) => {
-                let ask = MissionRequest { seq, target: self.target.into(), mission_type: 0 };
+                let ask = MissionRequest { seq, target, mission_type };
                 if self.old {
                     station.push_payload::<MISSION_REQUEST_DATA>(datagram, &ask.payload());
                 } else {
@@ -233,18 +294,24 @@ impl Exchange for Download {
     }
 }
 
-/// Takes the vehicle's mission away.
+/// Takes a list of the vehicle away.
 #[derive(Debug)]
 pub struct Clear {
-    target: (u8, u8),
+    talk: Talk,
     question: Question<()>,
 }
 
 impl Clear {
-    /// Of this system and component.
+    /// The mission of this system and component.
     #[must_use]
     pub fn new(target: (u8, u8)) -> Self {
-        Self { target, question: Question::default() }
+        Self::of(ListKind::Mission, target)
+    }
+
+    /// Another list of it, or all.
+    #[must_use]
+    pub fn of(kind: ListKind, target: (u8, u8)) -> Self {
+        Self { talk: Talk::about(kind, target), question: Question::default() }
     }
 }
 
@@ -252,16 +319,15 @@ impl Exchange for Clear {
     type Output = ();
 
     fn packet(&mut self, packet: &Packet, _now: Duration) {
-        if let Some(result) = ack_of(packet, self.target).filter(|_| self.question.retry.asked()) {
+        if let Some(result) = self.talk.ack(packet).filter(|_| self.question.retry.asked()) {
             self.question.answered(if result == ACCEPTED { Ok(()) } else { Err(refusal(result)) });
         }
     }
 
     fn poll(&mut self, now: Duration, station: &mut Encoder, datagram: &mut Vec<u8>) {
-        if self.question.fires(now, || "no answer to clearing the mission".into()) {
-            let (target_system, target_component) = self.target;
-            let ask = MISSION_CLEAR_ALL_DATA { target_system, target_component, ..Default::default() };
-            station.push(datagram, &ask);
+        self.talk.us = station.source();
+        if self.question.fires(now, || format!("no answer to clearing the {}", self.talk.kind)) {
+            station.push_payload::<MISSION_CLEAR_ALL_DATA>(datagram, &self.talk.list().payload());
         }
     }
 
@@ -276,9 +342,12 @@ impl Exchange for Clear {
 
 #[cfg(test)]
 mod tests {
-    use crpl_sitl::link::MessageData;
     use crpl_sitl::link::decoder::Decoder;
-    use crpl_sitl::link::dialect::{MISSION_ITEM_INT_DATA, MISSION_REQUEST_INT_DATA};
+    use crpl_sitl::link::dialect::{
+        MISSION_ACK_DATA, MISSION_COUNT_DATA, MISSION_ITEM_INT_DATA, MISSION_REQUEST_INT_DATA,
+        MISSION_REQUEST_LIST_DATA,
+    };
+    use crpl_sitl::link::{MessageData, STATION_COMPONENT, STATION_SYSTEM};
     use proptest::prelude::*;
 
     use super::*;

@@ -16,10 +16,14 @@ use super::value::{Encoding, Kind, NoNumber, Number};
 use crate::tools::retry::Question;
 use crate::tools::session::Exchange;
 
-/// Silence in a list after which what is missing is asked for.
-const PAUSE: Duration = Duration::from_millis(400);
-/// Missing parameters that are asked for at a time.
+/// Silence in a list after which what is missing is asked for, until the pace of the link is known; then so many
+/// times the time between two values, within these bounds.
+const PAUSE: Duration = Duration::from_millis(2500);
+const PAUSES: f64 = 5.0;
+const PAUSE_BOUNDS: [f64; 2] = [0.2, 10.0];
+/// Missing parameters that are asked for at a time: no more than come in this many seconds.
 const BATCH: usize = 20;
+const BATCH_SECONDS: f64 = 4.0;
 /// Index of a value that is told but not at its place in the list.
 const NO_INDEX: u16 = u16::MAX;
 
@@ -85,6 +89,9 @@ pub struct List {
     found: BTreeMap<u16, Param>,
     question: Question<()>,
     asked_again: u64,
+    /// When the last value came, and the time between two values, s: its pace.
+    last: Option<Duration>,
+    gap: Option<f64>,
 }
 
 impl List {
@@ -98,7 +105,29 @@ impl List {
             found: BTreeMap::new(),
             question: Question::default(),
             asked_again: 0,
+            last: None,
+            gap: None,
         }
+    }
+
+    /// A value has come: how fast they come. Pauses count little, since most of them are losses.
+    fn measure(&mut self, now: Duration) {
+        if let Some(last) = self.last.replace(now) {
+            let gap = now.saturating_sub(last).as_secs_f64();
+            self.gap =
+                Some(self.gap.map_or(gap, |known| known + 0.2 * (gap.min(4.0 * known + 0.05) - known)));
+        }
+    }
+
+    /// How long a silence is one.
+    fn pause(&self) -> Duration {
+        let [least, most] = PAUSE_BOUNDS;
+        self.gap.map_or(PAUSE, |gap| Duration::from_secs_f64((PAUSES * gap).clamp(least, most)))
+    }
+
+    /// How many are asked for at a time.
+    fn batch(&self) -> usize {
+        self.gap.map_or(BATCH, |gap| ((BATCH_SECONDS / gap.max(1e-3)) as usize).clamp(1, BATCH))
     }
 
     /// How many had to be asked for again.
@@ -121,10 +150,12 @@ impl Exchange for List {
             return;
         }
         self.count = Some(count);
+        self.measure(now);
+        let due = now + self.pause();
         if self.found.insert(index, param).is_none() {
-            self.question.retry.go_on(now + PAUSE);
+            self.question.retry.go_on(due);
         } else {
-            self.question.retry.not_before(now + PAUSE);
+            self.question.retry.not_before(due);
         }
         if self.missing().next().is_none() {
             self.question.answered(Ok(()));
@@ -145,7 +176,9 @@ impl Exchange for List {
             station.push(datagram, &PARAM_REQUEST_LIST_DATA { target_system, target_component });
             return;
         }
-        let missing: Vec<u16> = self.missing().take(BATCH).collect();
+        let missing: Vec<u16> = self.missing().take(self.batch()).collect();
+        let answered = self.pause().max(self.question.retry.due().saturating_sub(now));
+        self.question.retry.not_before(now + answered);
         self.asked_again += missing.len() as u64;
         for index in missing {
             let ask = PARAM_REQUEST_READ_DATA {
@@ -308,6 +341,8 @@ impl Exchange for Set {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::VecDeque;
+
     use crpl_sitl::link::decoder::Decoder;
     use crpl_sitl::link::messages::param::ParamRequestRead;
     use crpl_sitl::world::noise::{Noise, Stream};
@@ -439,6 +474,44 @@ mod tests {
             let mut peer = Peer::new(44, Encoding::CCast);
             let list = run(&mut List::new(VEHICLE, Encoding::CCast), &mut peer, |_| random.random_bool(0.2));
             assert_eq!(list, Ok(peer.params), "seed {seed}");
+        }
+    }
+
+    /// Report G11: on a link of 2 parameters a second 387 requests were sent for 30 parameters.
+    #[test]
+    fn a_slow_link_is_asked_no_more_often_than_it_answers() {
+        for (gap_ms, lost) in [(500_u64, false), (500, true), (2000, true), (20, true)] {
+            let mut peer = Peer::new(30, Encoding::CCast);
+            let mut list = List::new(VEHICLE, Encoding::CCast);
+            let (mut station, mut ours) = (Encoder::new(255, 190), Decoder::default());
+            let (mut theirs, mut queue, mut free) = (Decoder::default(), VecDeque::new(), 0_u64);
+            let mut dropped = 0;
+            for ms in 0..600_000_u64 {
+                let now = Duration::from_millis(ms);
+                if list.due().is_some_and(|due| due <= now) {
+                    let mut datagram = Vec::new();
+                    list.poll(now, &mut station, &mut datagram);
+                    for packet in theirs.datagram(&datagram) {
+                        queue.extend(peer.hear(&packet));
+                    }
+                }
+                if ms >= free
+                    && let Some(answer) = queue.pop_front()
+                {
+                    free = ms + gap_ms;
+                    dropped += 1;
+                    if !lost || dropped % 7 != 0 {
+                        ours.datagram(&answer).iter().for_each(|packet| list.packet(packet, now));
+                    }
+                }
+                if let Some(outcome) = list.outcome() {
+                    assert_eq!(outcome.unwrap().len(), 30);
+                    break;
+                }
+            }
+            assert!(list.found.len() == 30, "{gap_ms} ms: {} came", list.found.len());
+            let asked = list.asked_again();
+            assert!(asked <= if lost { 12 } else { 0 }, "{gap_ms} ms, lost {lost}: {asked} asked again");
         }
     }
 

@@ -17,6 +17,8 @@ pub struct Line {
     pub name: String,
     /// Value as it is written.
     pub value: String,
+    /// System and component that it is for, where the file says so.
+    pub of: Option<(u8, u8)>,
 }
 
 /// Reads a file of either kind.
@@ -38,16 +40,21 @@ fn parse(text: &str) -> Result<Vec<Line>> {
         let line = line.split('#').next().unwrap_or_default();
         let words: Vec<_> =
             line.split([',', '\t', ' ']).map(str::trim).filter(|word| !word.is_empty()).collect();
-        let (name, value) = match words[..] {
+        let (name, value, of) = match words[..] {
             [] => continue,
-            [name, value] => (name, value),
-            [_, _, name, value, _] => (name, value),
+            [name, value] => (name, value, None),
+            [system, component, name, value, _] => {
+                let id = |text: &str| {
+                    text.parse::<u8>().with_context(|| format!("line {}: `{text}` is no id", k + 1))
+                };
+                (name, value, Some((id(system)?, id(component)?)))
+            }
             _ => bail!("line {}: expected NAME VALUE, found `{}`", k + 1, line.trim()),
         };
         if value.parse::<f64>().is_err() {
             bail!("line {}: {name}: `{value}` is no number", k + 1);
         }
-        lines.push(Line { number: k + 1, name: name.into(), value: value.into() });
+        lines.push(Line { number: k + 1, name: name.into(), value: value.into(), of });
     }
     Ok(lines)
 }

@@ -10,6 +10,7 @@ pub mod exchange;
 pub mod file;
 pub mod value;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -78,25 +79,25 @@ pub async fn run(args: Params) -> Result<()> {
     match args.action {
         ParamAction::List => {
             for param in session.run(&mut List::new(target, encoding)).await? {
-                println!("{param}");
+                crpl_sitl::outln!("{param}");
             }
         }
         ParamAction::Get { names } => {
             for name in names {
-                println!("{}", session.run(&mut Read::new(name, target, encoding)?).await?);
+                crpl_sitl::outln!("{}", session.run(&mut Read::new(name, target, encoding)?).await?);
             }
         }
         ParamAction::Set { name, value } => {
             let before = session.run(&mut Read::new(name, target, encoding)?).await?;
             let value = Number::parse(&value, before.kind).with_context(|| before.name.clone())?;
-            let set = set(&mut session, &before, value, encoding).await?;
-            println!("{set} (was {})", before.value);
+            let set = set(&mut session, &before, value, target, encoding).await?;
+            crpl_sitl::outln!("{set} (was {})", before.value);
         }
         ParamAction::Load { .. } => load(&mut session, &wanted.unwrap_or_default(), encoding).await?,
         ParamAction::Save { file } => {
             let params = session.run(&mut List::new(target, encoding)).await?;
             file::write(&file, &params, target)?;
-            println!("{} parameters in {}", params.len(), file.display());
+            crpl_sitl::outln!("{} parameters in {}", params.len(), file.display());
         }
     }
     session.close().await;
@@ -118,9 +119,14 @@ async fn encoding(session: &mut Session) -> Result<Encoding> {
 }
 
 /// Sets one parameter; an error if the vehicle keeps another value.
-async fn set(session: &mut Session, param: &Param, value: Number, encoding: Encoding) -> Result<Param> {
-    let target = session.target();
-    match session.run(&mut Set::new(param, value, target, encoding)?).await? {
+async fn set(
+    session: &mut Session,
+    param: &Param,
+    value: Number,
+    target: (u8, u8),
+    encoding: Encoding,
+) -> Result<Param> {
+    match session.run_with(&mut Set::new(param, value, target, encoding)?, target).await? {
         Written::Taken(param) => Ok(param),
         Written::Kept(param) => {
             bail!("vehicle {} refused {} = {value} and keeps {}", target.0, param.name, param.value)
@@ -128,37 +134,100 @@ async fn set(session: &mut Session, param: &Param, value: Number, encoding: Enco
     }
 }
 
+/// What became of the lines of a file.
+#[derive(Debug, Default)]
+struct LoadTally {
+    changed: usize,
+    same: usize,
+    refused: usize,
+}
+
 async fn load(session: &mut Session, wanted: &[file::Line], encoding: Encoding) -> Result<()> {
-    let known = session.run(&mut List::new(session.target(), encoding)).await?;
-    let (mut changed, mut same, mut refused) = (0, 0, 0);
+    let target = session.target();
+    let mut by_component: BTreeMap<(u8, u8), Vec<&file::Line>> = BTreeMap::new();
     for line in wanted {
-        let Some(param) = known.iter().find(|param| param.name == line.name) else {
-            println!("{}: the vehicle has no such parameter (line {})", line.name, line.number);
-            refused += 1;
-            continue;
-        };
-        let done = match Number::parse(&line.value, param.kind) {
-            Ok(value) if value == param.value => {
-                same += 1;
-                continue;
-            }
-            Ok(value) => set(session, param, value, encoding).await,
-            Err(error) => Err(anyhow::Error::new(error).context(line.name.clone())),
-        };
-        match done {
-            Ok(set) => {
-                println!("{set} (was {})", param.value);
-                changed += 1;
-            }
-            Err(error) => {
-                println!("{} (line {})", crpl_sitl::program::terminal::one_line(&error), line.number);
-                refused += 1;
-            }
-        }
+        by_component.entry(line.of.unwrap_or(target)).or_default().push(line);
     }
-    println!("{changed} set, {same} as they were, {refused} refused");
+    let mut tally = LoadTally::default();
+    for (of, lines) in by_component {
+        if of.0 != target.0 {
+            let (first, count) = (lines[0].number, lines.len());
+            crpl_sitl::outln!(
+                "{count} parameters are for system {}, and this is {}: see --sysid (line {first} is the first)",
+                of.0,
+                target.0
+            );
+            tally.refused += count;
+            continue;
+        }
+        load_component(session, &lines, of, encoding, &mut tally).await?;
+    }
+    let LoadTally { changed, same, refused } = tally;
+    crpl_sitl::outln!("{changed} set, {same} as they were, {refused} refused");
     if refused > 0 {
         bail!("{refused} of {} parameters were not set", wanted.len());
     }
     Ok(())
+}
+
+/// Sets the lines of one component. A switch may make the vehicle have more parameters than before, so what it
+/// did not have is looked for again as long as something was set.
+async fn load_component(
+    session: &mut Session,
+    lines: &[&file::Line],
+    of: (u8, u8),
+    encoding: Encoding,
+    tally: &mut LoadTally,
+) -> Result<()> {
+    let mut left: Vec<&file::Line> = lines.to_vec();
+    loop {
+        let known = session.run_with(&mut List::new(of, encoding), of).await?;
+        let (here, missing): (Vec<_>, Vec<_>) =
+            left.into_iter().partition(|line| known.iter().any(|param| param.name == line.name));
+        let changed = tally.changed;
+        for line in here {
+            if let Some(param) = known.iter().find(|param| param.name == line.name) {
+                load_line(session, line, param, of, encoding, tally).await;
+            }
+        }
+        if missing.is_empty() {
+            return Ok(());
+        }
+        if tally.changed == changed {
+            for line in missing {
+                crpl_sitl::outln!("{}: the vehicle has no such parameter (line {})", line.name, line.number);
+                tally.refused += 1;
+            }
+            return Ok(());
+        }
+        left = missing;
+    }
+}
+
+async fn load_line(
+    session: &mut Session,
+    line: &file::Line,
+    param: &Param,
+    of: (u8, u8),
+    encoding: Encoding,
+    tally: &mut LoadTally,
+) {
+    let done = match Number::parse(&line.value, param.kind) {
+        Ok(value) if value == param.value => {
+            tally.same += 1;
+            return;
+        }
+        Ok(value) => set(session, param, value, of, encoding).await,
+        Err(error) => Err(anyhow::Error::new(error).context(line.name.clone())),
+    };
+    match done {
+        Ok(set) => {
+            crpl_sitl::outln!("{set} (was {})", param.value);
+            tally.changed += 1;
+        }
+        Err(error) => {
+            crpl_sitl::outln!("{} (line {})", crpl_sitl::program::terminal::one_line(&error), line.number);
+            tally.refused += 1;
+        }
+    }
 }

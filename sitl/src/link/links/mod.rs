@@ -7,8 +7,8 @@
 //!
 //! | file | endpoints |
 //! |---|---|
-//! | `udp.rs` | `udpin`, `udpout` |
-//! | `tcp.rs` | `tcpin`, `tcpout` |
+//! | `udp.rs` | `udpin`, `udpout`, `udpbcast` |
+//! | `tcp.rs` | `tcpin`, `tcpout`, `serial` |
 //! | `stream.rs` | one stream and what waits for its peer |
 //!
 //! A new kind of endpoint is a variant of [`Endpoint`], a `LinkPort` in a file of its own, and an arm
@@ -20,7 +20,7 @@ mod tcp;
 mod udp;
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
@@ -38,6 +38,8 @@ pub const BUFFER: usize = 65_536;
 const LAST_WORDS: Duration = Duration::from_secs(2);
 /// Arrivals that are looked at in vain at the end.
 const MAX_UNREAD: usize = 1024;
+/// The address of what has none: a serial line, a host whose name is not known yet.
+const NO_ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::UNSPECIFIED), 0);
 /// After an error of a socket that does not go away.
 const PAUSE: Duration = Duration::from_millis(1);
 
@@ -46,8 +48,9 @@ const PAUSE: Duration = Duration::from_millis(1);
 pub struct LinkOptions {
     /// What happens to a stream whose peer reads too slowly.
     pub backlog: Backlog,
-    /// Whether a `tcpout` endpoint is open before somebody listens there. Otherwise nobody is an error
-    /// of opening. Once open, both connect again after each end.
+    /// Whether a `tcpout` endpoint is open before somebody listens there, a serial line before it is plugged
+    /// in, and a host before its name has an address. Otherwise that is an error of opening. Once open, all
+    /// connect again after each end; a name is looked up again.
     pub connects_later: bool,
     /// Streams that one `tcpin` endpoint takes at a time; more are closed at once.
     pub max_streams: usize,
@@ -171,8 +174,8 @@ trait LinkPort: std::fmt::Debug + Send {
     /// Sends, or keeps for sending.
     fn send(&mut self, to: SocketAddr, bytes: &[u8]) -> Result<(), SendError>;
 
-    /// Writes what waits; ready when nothing waits. Adds what could not be sent: to whom, and bytes.
-    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()>;
+    /// Writes what waits; ready when nothing waits. Adds what could not be sent: to whom, and what.
+    fn poll_flush(&mut self, cx: &mut Context<'_>, failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()>;
 
     /// The address that it has itself, if that is one for all.
     fn local(&self) -> Option<SocketAddr>;
@@ -191,11 +194,13 @@ trait LinkPort: std::fmt::Debug + Send {
 impl dyn LinkPort {
     async fn open(endpoint: &Endpoint, options: &LinkOptions) -> Result<Box<Self>, OpenError> {
         Ok(match endpoint {
-            Endpoint::UdpIn(_) | Endpoint::UdpOut(_) => {
-                Box::new(UdpPort::open(endpoint, options.udp_peers).await?)
+            Endpoint::UdpIn(_) | Endpoint::UdpOut(_) | Endpoint::UdpBroadcast(_) => {
+                Box::new(UdpPort::open(endpoint, options).await?)
             }
             Endpoint::TcpIn(_) => Box::new(ListenPort::open(endpoint, options).await?),
-            Endpoint::TcpOut(_) => Box::new(ConnectPort::open(endpoint, options).await?),
+            Endpoint::TcpOut(_) | Endpoint::Serial(_) => {
+                Box::new(ConnectPort::open(endpoint, options).await?)
+            }
         })
     }
 }
@@ -245,14 +250,16 @@ impl Links {
                 let name = format!("{}:{local}", endpoint.scheme());
                 (name.clone(), format!("listening on {name}"))
             }
-            Endpoint::UdpOut(_) => {
+            Endpoint::UdpOut(_) | Endpoint::UdpBroadcast(_) => {
                 let port = local.map_or(0, |address| address.port());
                 (endpoint.to_string(), format!("sending to {endpoint} from port {port}"))
             }
-            Endpoint::TcpOut(_) if self.options.connects_later => {
+            Endpoint::TcpOut(_) | Endpoint::Serial(_) if self.options.connects_later => {
                 (endpoint.to_string(), format!("connecting to {endpoint}"))
             }
-            Endpoint::TcpOut(_) => (endpoint.to_string(), format!("connected to {endpoint}")),
+            Endpoint::TcpOut(_) | Endpoint::Serial(_) => {
+                (endpoint.to_string(), format!("connected to {endpoint}"))
+            }
         };
         let many = matches!(endpoint, Endpoint::UdpIn(_) | Endpoint::TcpIn(_));
         self.entries.push(LinkEntry { name, told, many, port, counters: LinkCounters::default() });
@@ -374,8 +381,8 @@ impl Links {
 
     /// Waits until the system has taken all datagrams, which it does unless very many were sent at once.
     /// Waits for no stream: how fast that goes on is its peer's choice. Gives what could not be sent
-    /// after all: to whom, and bytes. Loses nothing if dropped.
-    pub async fn flush(&mut self) -> Vec<(PeerId, usize)> {
+    /// after all: to whom, and what. Loses nothing if dropped.
+    pub async fn flush(&mut self) -> Vec<(PeerId, Vec<u8>)> {
         let mut all = Vec::new();
         std::future::poll_fn(|cx| self.poll_flush(cx, &mut all, false)).await;
         all
@@ -397,7 +404,7 @@ impl Links {
     fn poll_flush(
         &mut self,
         cx: &mut Context<'_>,
-        all: &mut Vec<(PeerId, usize)>,
+        all: &mut Vec<(PeerId, Vec<u8>)>,
         streams: bool,
     ) -> Poll<()> {
         let mut waits = false;
@@ -409,7 +416,7 @@ impl Links {
             waits |= port.poll_flush(cx, &mut failed).is_pending();
             for (address, bytes) in failed {
                 counters.sent -= 1;
-                counters.sent_bytes -= bytes as u64;
+                counters.sent_bytes -= bytes.len() as u64;
                 counters.failed += 1;
                 all.push((PeerId { endpoint, address }, bytes));
             }

@@ -1,34 +1,72 @@
-//! One TCP connection, and what its peer has not read yet.
+//! One stream, and what its peer has not read yet: a TCP connection or a serial line.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
 use std::pin::Pin;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
 
+use serial2_tokio::SerialPort;
+use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
 use super::{Backlog, SendError};
 
+/// After this silence the system asks a TCP peer whether it is still there, and so often until it gives up:
+/// a peer that lost its power sends no end of its stream.
+const KEEPALIVE: [Duration; 2] = [Duration::from_secs(15), Duration::from_secs(5)];
+
+/// What carries a stream.
+pub(super) trait Wire: AsyncRead + AsyncWrite + Unpin + Send + std::fmt::Debug {
+    /// Writes what there is room for now.
+    fn try_write(&mut self, bytes: &[u8]) -> io::Result<usize>;
+}
+
+impl Wire for TcpStream {
+    fn try_write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        Self::try_write(self, bytes)
+    }
+}
+
+impl Wire for SerialPort {
+    fn try_write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // Nobody needs to be woken: what waits is written when the line is next read.
+        match Pin::new(self).poll_write(&mut Context::from_waker(Waker::noop()), bytes) {
+            Poll::Ready(written) => written,
+            Poll::Pending => Err(ErrorKind::WouldBlock.into()),
+        }
+    }
+}
+
 /// A connection.
 #[derive(Debug)]
 pub(super) struct LinkStream {
-    tcp: TcpStream,
+    wire: Box<dyn Wire>,
     unsent: VecDeque<u8>,
 }
 
 impl LinkStream {
-    pub(super) fn new(tcp: TcpStream) -> Self {
+    pub(super) fn tcp(tcp: TcpStream) -> Self {
         // Frames are small and wait for nobody.
         let _ = tcp.set_nodelay(true);
-        Self { tcp, unsent: VecDeque::new() }
+        let [time, interval] = KEEPALIVE;
+        let keepalive = TcpKeepalive::new().with_time(time).with_interval(interval);
+        if let Err(error) = SockRef::from(&tcp).set_tcp_keepalive(&keepalive) {
+            tracing::debug!("keepalive: {error}");
+        }
+        Self { wire: Box::new(tcp), unsent: VecDeque::new() }
+    }
+
+    pub(super) fn serial(line: SerialPort) -> Self {
+        Self { wire: Box::new(line), unsent: VecDeque::new() }
     }
 
     /// Writes what waits. Ready once nothing waits.
     pub(super) fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         while !self.unsent.is_empty() {
             let (front, _) = self.unsent.as_slices();
-            match std::task::ready!(Pin::new(&mut self.tcp).poll_write(cx, front)) {
+            match std::task::ready!(Pin::new(&mut self.wire).poll_write(cx, front)) {
                 Ok(0) => return Poll::Ready(Err(ErrorKind::WriteZero.into())),
                 Ok(sent) => drop(self.unsent.drain(..sent)),
                 Err(error) => return Poll::Ready(Err(error)),
@@ -43,7 +81,7 @@ impl LinkStream {
             return Poll::Ready(Err(error));
         }
         let mut buffer = ReadBuf::new(buffer);
-        Pin::new(&mut self.tcp).poll_read(cx, &mut buffer).map_ok(|()| buffer.filled().len())
+        Pin::new(&mut self.wire).poll_read(cx, &mut buffer).map_ok(|()| buffer.filled().len())
     }
 
     /// Sends, or keeps, or drops as a whole: a peer never gets a part of `bytes`.
@@ -53,7 +91,7 @@ impl LinkStream {
     pub(super) fn send(&mut self, bytes: &[u8], backlog: Backlog) -> Result<(), SendError> {
         while !self.unsent.is_empty() {
             let (front, _) = self.unsent.as_slices();
-            let Some(sent) = written(self.tcp.try_write(front))? else { break };
+            let Some(sent) = written(self.wire.try_write(front))? else { break };
             self.unsent.drain(..sent);
         }
         let waiting = self.unsent.len();
@@ -62,7 +100,7 @@ impl LinkStream {
         }
         let mut rest = bytes;
         while self.unsent.is_empty() && !rest.is_empty() {
-            let Some(sent) = written(self.tcp.try_write(rest))? else { break };
+            let Some(sent) = written(self.wire.try_write(rest))? else { break };
             rest = &rest[sent..];
         }
         self.unsent.extend(rest);

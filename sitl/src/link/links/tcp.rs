@@ -1,4 +1,4 @@
-//! Streams: `tcpin` and `tcpout`.
+//! Streams: `tcpin`, `tcpout`, and serial lines, which are opened again as `tcpout` connects again.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
@@ -9,12 +9,13 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use serial2_tokio::SerialPort;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Sleep, sleep};
 
 use super::stream::LinkStream;
-use super::{Backlog, LinkOptions, LinkPort, PortEvent, SendError};
-use crate::link::endpoint::{Endpoint, OpenError};
+use super::{Backlog, LinkOptions, LinkPort, NO_ADDRESS, PortEvent, SendError};
+use crate::link::endpoint::{Endpoint, HostPort, OpenError};
 
 /// Between two attempts of a `tcpout` endpoint, and after a `tcpin` endpoint could not take a stream.
 const RETRY: Duration = Duration::from_secs(1);
@@ -68,7 +69,7 @@ impl ListenPort {
                     tracing::debug!(%address, "refused: {} streams are open", self.streams.len());
                 }
                 Poll::Ready(Ok((tcp, address))) => {
-                    self.streams.insert(address, LinkStream::new(tcp));
+                    self.streams.insert(address, LinkStream::tcp(tcp));
                     return Some(address);
                 }
                 Poll::Ready(Err(error)) => {
@@ -130,7 +131,7 @@ impl LinkPort for ListenPort {
         })
     }
 
-    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()> {
+    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()> {
         let mut waits = false;
         let gone = &mut self.gone;
         self.streams.retain(|&address, stream| match stream.poll_write(cx) {
@@ -158,12 +159,25 @@ impl LinkPort for ListenPort {
 /// A stream outward, which is made again after its end.
 #[derive(Debug)]
 pub(super) struct ConnectPort {
-    name: String,
+    endpoint: Endpoint,
+    /// What it is called: a name may stand for other addresses later, and a serial line has none.
     address: SocketAddr,
     state: Outward,
     /// Whether it was told that nobody answers.
     complained: bool,
     backlog: Backlog,
+}
+
+/// An attempt to make a stream.
+type Dialling = Pin<Box<dyn Future<Output = io::Result<LinkStream>> + Send>>;
+
+/// Makes a stream; a name is looked up each time.
+async fn dial(endpoint: Endpoint) -> io::Result<LinkStream> {
+    match (&endpoint, endpoint.place()) {
+        (Endpoint::Serial(line), _) => Ok(LinkStream::serial(SerialPort::open(&line.device, line.baud)?)),
+        (_, Some(place)) => Ok(LinkStream::tcp(TcpStream::connect(place.address().await?).await?)),
+        (_, None) => Err(io::Error::other("it has no place")),
+    }
 }
 
 enum Outward {
@@ -173,7 +187,7 @@ enum Outward {
     /// Closed from here, and not told yet.
     Gone,
     Waiting(Pin<Box<Sleep>>),
-    Connecting(Pin<Box<dyn Future<Output = io::Result<TcpStream>> + Send>>),
+    Connecting(Dialling),
 }
 
 impl std::fmt::Debug for Outward {
@@ -196,18 +210,23 @@ impl Outward {
 
 impl ConnectPort {
     pub(super) async fn open(endpoint: &Endpoint, options: &LinkOptions) -> Result<Self, OpenError> {
-        let address = endpoint.address().await?;
+        let attempt: Dialling = Box::pin(dial(endpoint.clone()));
+        let mut address = endpoint.place().and_then(HostPort::literal).unwrap_or(NO_ADDRESS);
         let state = if options.connects_later {
-            Outward::Connecting(Box::pin(TcpStream::connect(address)))
+            Outward::Connecting(attempt)
         } else {
-            let tcp = TcpStream::connect(address).await.map_err(|source| OpenError::Connect {
-                endpoint: endpoint.clone(),
-                address,
-                source,
-            })?;
-            Outward::New(LinkStream::new(tcp))
+            let is_serial = matches!(endpoint, Endpoint::Serial(_));
+            if !is_serial {
+                address = endpoint.address().await?;
+            }
+            let endpoint = endpoint.clone();
+            Outward::New(attempt.await.map_err(|source| match is_serial {
+                true => OpenError::Serial { endpoint, source },
+                false => OpenError::Connect { endpoint, address, source },
+            })?)
         };
-        Ok(Self { name: endpoint.to_string(), address, state, complained: false, backlog: options.backlog })
+        let (endpoint, backlog) = (endpoint.clone(), options.backlog);
+        Ok(Self { endpoint, address, state, complained: false, backlog })
     }
 }
 
@@ -240,13 +259,13 @@ impl LinkPort for ConnectPort {
                         self.state = Outward::Waiting(pause);
                         return Poll::Pending;
                     }
-                    self.state = Outward::Connecting(Box::pin(TcpStream::connect(self.address)));
+                    self.state = Outward::Connecting(Box::pin(dial(self.endpoint.clone())));
                 }
                 Outward::Connecting(mut attempt) => match attempt.as_mut().poll(cx) {
-                    Poll::Ready(Ok(tcp)) => self.state = Outward::New(LinkStream::new(tcp)),
+                    Poll::Ready(Ok(stream)) => self.state = Outward::New(stream),
                     Poll::Ready(Err(error)) => {
                         if !self.complained {
-                            let (name, every) = (&self.name, RETRY.as_secs());
+                            let (name, every) = (&self.endpoint, RETRY.as_secs());
                             tracing::warn!("{name}: connecting: {error}; trying again every {every} s");
                         }
                         self.complained = true;
@@ -270,7 +289,7 @@ impl LinkPort for ConnectPort {
         })
     }
 
-    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, usize)>) -> Poll<()> {
+    fn poll_flush(&mut self, cx: &mut Context<'_>, _failed: &mut Vec<(SocketAddr, Vec<u8>)>) -> Poll<()> {
         let Outward::Up(stream) = &mut self.state else { return Poll::Ready(()) };
         stream.poll_write(cx).map(|written| {
             if written.is_err() {

@@ -66,6 +66,15 @@ impl Key {
         (bytes != [0; 32]).then_some(Self(bytes))
     }
 
+    /// What tells this key from others, and from which nobody can learn it: the first 8 bytes of a SHA-256 of
+    /// it, in hexadecimal.
+    #[must_use]
+    pub fn fingerprint(&self) -> String {
+        let digest =
+            Sha256::new().chain_update(b"MAVLink signing key fingerprint").chain_update(self.0).finalize();
+        to_hex(&digest[..8])
+    }
+
     /// The key that ground stations derive from a passphrase: its SHA-256.
     #[must_use]
     pub fn of_passphrase(passphrase: &str) -> Self {
@@ -147,6 +156,12 @@ impl Signing {
     #[must_use]
     pub fn is_on(&self) -> bool {
         self.key.is_some()
+    }
+
+    /// The fingerprint of the key, if there is one.
+    #[must_use]
+    pub fn fingerprint(&self) -> Option<String> {
+        self.key.as_ref().map(Key::fingerprint)
     }
 
     /// Whether both have the same key, or none.

@@ -22,6 +22,7 @@ use crpl_sitl::program::timing::Histogram;
 use tokio::time::Instant;
 
 use super::counters::LinkRow;
+use super::router::rules::LinkRules;
 use super::router::{LinkId, Notice, Router};
 use super::signer::LinkSigner;
 
@@ -83,12 +84,16 @@ pub struct Hub {
     links: Links,
     /// The side of each endpoint.
     sides: Vec<LinkSide>,
+    /// What is asked of each endpoint.
+    rules: Vec<LinkRules>,
     exits: BTreeMap<LinkId, Exit>,
     /// The link of each peer.
     peers: BTreeMap<PeerId, LinkId>,
     local: Option<LinkId>,
     heard: VecDeque<Vec<u8>>,
     tlog: Option<Tlog<LogSink>>,
+    /// A time of the flight's own clock for the log: what it was, when, and how far it may go on by itself.
+    log_time: Option<(SystemTime, Instant, Duration)>,
     /// Why the tlog, or the timestamps of signatures, are no longer written.
     log_error: Option<String>,
     signer: Option<LinkSigner>,
@@ -112,9 +117,11 @@ impl Default for Hub {
 impl Hub {
     fn new(options: LinkOptions) -> Self {
         Self {
-            router: Router::default(),
+            router: Router::salted(salt()),
             links: Links::new(options),
             sides: Vec::new(),
+            rules: Vec::new(),
+            log_time: None,
             exits: BTreeMap::new(),
             peers: BTreeMap::new(),
             local: None,
@@ -136,16 +143,17 @@ impl Hub {
     /// # Errors
     /// The endpoint cannot be opened.
     pub async fn open(&mut self, endpoint: &Endpoint) -> Result<String> {
-        self.open_on(endpoint, LinkSide::Tools).await
+        self.open_on(endpoint, LinkRules::default(), LinkSide::Tools).await
     }
 
-    /// The same on a side; with [`Hub::sign_vehicle_side`], call that first.
+    /// The same with rules, on a side; with [`Hub::sign_vehicle_side`], call that first.
     ///
     /// # Errors
     /// The endpoint cannot be opened.
-    pub async fn open_on(&mut self, endpoint: &Endpoint, side: LinkSide) -> Result<String> {
+    pub async fn open_on(&mut self, endpoint: &Endpoint, rules: LinkRules, side: LinkSide) -> Result<String> {
         let index = self.links.add(endpoint).await?;
         self.sides.push(side);
+        self.rules.push(rules);
         if let Some(peer) = self.links.fixed_at(index) {
             self.meet(peer);
         }
@@ -179,6 +187,32 @@ impl Hub {
             self.logged(kept);
         }
         Ok(())
+    }
+
+    /// From now on the log's stamps count from `time`, for `most` at the longest until the next call: a flight
+    /// in lockstep is over in no time, and its log lasts as long as the flight. Never called, the stamps are the
+    /// wall's.
+    pub fn log_time(&mut self, time: SystemTime, most: Duration) {
+        self.log_time = Some((time, Instant::now(), most));
+    }
+
+    /// Writes frames into the log that were neither sent nor received.
+    pub fn log_note(&mut self, datagram: &[u8]) {
+        let time = self.stamp();
+        let written = self.tlog.as_mut().map_or(Ok(()), |tlog| tlog.datagram(datagram, time));
+        self.logged(written);
+    }
+
+    fn stamp(&self) -> SystemTime {
+        match self.log_time {
+            None => SystemTime::now(),
+            Some((time, since, most)) => time + since.elapsed().min(most),
+        }
+    }
+
+    /// The rule of copies of the router: see [`Router::copies_within`].
+    pub fn copies_within(&mut self, within: Duration) {
+        self.router.copies_within(within);
     }
 
     /// Why the tlog, or the timestamps of signatures, could not be written, if so: a full disk for one.
@@ -245,6 +279,51 @@ impl Hub {
         self.router.take_control(vehicle.map(|vehicle| (vehicle, local)));
     }
 
+    /// Packets to this program that were refused for their signatures.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.signer.as_ref().map_or(0, LinkSigner::refused)
+    }
+
+    /// Sends to everybody what is no message of a program, such as a log that is played: no rule of the
+    /// router holds for it.
+    pub async fn broadcast(&mut self, bytes: &[u8]) {
+        let parts = match &mut self.signer {
+            Some(signer) => signer.sign(bytes),
+            None => vec![bytes.to_vec()],
+        };
+        for peer in self.peers.keys() {
+            for part in &parts {
+                if let Err(error) = self.links.send(*peer, part) {
+                    tracing::debug!(%peer, "sending: {error}");
+                }
+            }
+        }
+        self.links.flush().await;
+    }
+
+    /// Says something to the vehicle's side that needs no answer: whoever waits there for a first word has it.
+    pub async fn hello(&mut self, datagram: &[u8]) {
+        let fixed = self.links.fixed();
+        let streams = self.peers.keys().filter(|peer| self.links.is_stream(peer.endpoint));
+        let peers: Vec<PeerId> = fixed.into_iter().chain(streams.copied()).collect();
+        for peer in peers {
+            if self.sides.get(peer.endpoint) != Some(&LinkSide::Vehicle) {
+                continue;
+            }
+            let parts = match &mut self.vehicle_signer {
+                Some(signer) => signer.sign(datagram),
+                None => vec![datagram.to_vec()],
+            };
+            for part in parts {
+                if let Err(error) = self.links.send(peer, &part) {
+                    tracing::debug!(%peer, "sending: {error}");
+                }
+            }
+        }
+        self.links.flush().await;
+    }
+
     /// What has happened since the last call.
     pub fn notices(&mut self) -> Vec<Notice> {
         self.router.notices()
@@ -259,7 +338,10 @@ impl Hub {
     /// All links with their counters.
     #[must_use]
     pub fn rows(&self) -> Vec<LinkRow<'_>> {
-        self.router.links().map(|(name, systems, counters)| LinkRow { name, systems, counters }).collect()
+        let open = self.router.links().map(|(name, systems, counters)| LinkRow { name, systems, counters });
+        let closed =
+            self.router.closed().map(|(name, counters)| LinkRow { name, systems: Vec::new(), counters });
+        open.chain(closed).collect()
     }
 
     /// From reading a burst to having sent what it holds.
@@ -365,7 +447,8 @@ impl Hub {
 
     /// A link for a new peer.
     fn meet(&mut self, peer: PeerId) -> LinkId {
-        let link = self.router.add(self.links.peer_name(peer));
+        let rules = self.rules.get(peer.endpoint).cloned().unwrap_or_default();
+        let link = self.router.add_with(self.links.peer_name(peer), rules);
         self.exits.insert(link, Exit::Peer(peer));
         self.peers.insert(peer, link);
         if self.sides[peer.endpoint] == LinkSide::Vehicle && self.vehicle_signer.is_some() {
@@ -385,7 +468,7 @@ impl Hub {
     }
 
     fn receive(&mut self, from: LinkId, bytes: &[u8]) {
-        let (now, time) = (self.elapsed(), SystemTime::now());
+        let (now, time) = (self.elapsed(), self.stamp());
         let Self { router, tlog, vehicle_signer, signed_links, .. } = self;
         let mut logged = Ok(());
         let good;
@@ -429,12 +512,18 @@ impl Hub {
             }
             _ => send(link, datagram),
         });
-        for (peer, bytes) in self.links.flush().await {
+        for (peer, datagram) in self.links.flush().await {
             if let Some(link) = self.peers.get(&peer) {
-                self.router.not_sent(*link, bytes);
+                self.router.not_sent(*link, &datagram);
             }
         }
     }
+}
+
+/// What tells this program's router from others.
+fn salt() -> u64 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    now.as_nanos() as u64 ^ u64::from(std::process::id()) << 32
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 //!
 //! The rules, for a frame of system S and component C that comes in on link L:
 //!
-//! 1. It never goes back to L, nor to a link on which S/C itself was heard a moment ago: no loops.
+//! 1. It never goes back to L, nor to a link on which S/C itself was heard a moment ago: no loops. A copy
+//!    tells where S/C lives, too ([`history`]).
 //! 2. The same bytes a second time, on any link, are dropped: redundant paths give one copy.
 //! 3. A message without target, or for system 0, goes to every other link.
 //! 4. One for a system goes where that component was heard; if it was heard nowhere, where its system
@@ -15,8 +16,10 @@
 //! What one link sends in a burst leaves in as few datagrams as it fits in; frames that came in one
 //! datagram are not parted if one datagram holds them.
 
+mod history;
+pub mod rules;
+
 use std::collections::BTreeMap;
-use std::hash::{DefaultHasher, Hasher};
 use std::time::Duration;
 
 use crpl_sitl::link::encoder::DATAGRAM;
@@ -25,21 +28,29 @@ use crpl_sitl::link::messages::service::{Ping, Timesync};
 use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::packet::PacketRef;
 use crpl_sitl::link::sequence::Sequence;
-use crpl_sitl::link::splitter::Splitter;
+use crpl_sitl::link::splitter::{Counts, Splitter};
 use crpl_sitl::link::wire;
 
 use super::counters::Counters;
+use history::{CopyVerdict, History, LinkSet, MAX_SOURCES};
+use rules::{Budget, LinkRules};
 
 /// A peer of the bridge: one socket, one TCP connection, or one of the peers of a listening socket.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(pub u32);
 
-/// Frames of a source whose copies are recognised; below 256, at which sequence numbers come again.
-const REMEMBERED: usize = 64;
-/// After this time the same bytes are no copy: some senders number all their frames alike.
-const COPY_WITHIN: Duration = Duration::from_millis(200);
+/// After this time the same bytes are no copy, unless [`Router::copies_within`] says another: paths over
+/// mobile networks are seconds slow at times.
+pub const COPY_WITHIN: Duration = Duration::from_secs(10);
 /// A source that was not heard on a link for this long may have moved away from it.
 const LIVES_HERE: Duration = Duration::from_secs(5);
+/// A link that brings a copy of what it was sent is either the way to its sender or a ring. So many frames,
+/// the next and then every other one, are withheld from it: one that comes all the same tells that its sender lives there.
+const WITHHELD: u8 = 12;
+/// An echo is asked about again after this time.
+const DOUBT_AGAIN: Duration = Duration::from_secs(60);
+/// Frames in a row with one number after which their sender does not count.
+const STILL: u8 = 4;
 /// Requests whose answers are waited for, to time them.
 const PENDING: usize = 64;
 
@@ -59,36 +70,27 @@ mod id {
 struct Source {
     heard: Duration,
     sequence: Sequence,
-    /// Fingerprints of its last frames, and when they came; apart, as every frame is compared with all of
-    /// the first and hardly ever with the second.
-    recent: [u64; REMEMBERED],
-    came: [Duration; REMEMBERED],
-    next: usize,
+    number: u8,
+    /// Frames in a row with this number, and whether another number came before.
+    still: u8,
+    moved: bool,
 }
 
 impl Source {
     fn new(now: Duration) -> Self {
-        Self {
-            heard: now,
-            sequence: Sequence::default(),
-            recent: [0; REMEMBERED],
-            came: [Duration::ZERO; REMEMBERED],
-            next: 0,
-        }
+        Self { heard: now, sequence: Sequence::default(), number: 0, still: 0, moved: false }
     }
 
-    fn remembers(&self, fingerprint: u64, now: Duration) -> bool {
-        // Without an early end, so that several are compared at once.
-        if !self.recent.iter().fold(false, |found, &seen| found | (seen == fingerprint)) {
-            return false;
-        }
-        let mut copies = self.recent.iter().zip(&self.came).filter(|&(&seen, _)| seen == fingerprint);
-        copies.any(|(_, &at)| now.saturating_sub(at) < COPY_WITHIN)
+    /// Whether it counts its frames on, so that the same bytes twice are a copy.
+    fn counts(&self) -> bool {
+        self.moved && self.still < STILL
     }
 
-    fn remember(&mut self, fingerprint: u64, now: Duration) {
-        (self.recent[self.next], self.came[self.next]) = (fingerprint, now);
-        self.next = (self.next + 1) % REMEMBERED;
+    fn numbered(&mut self, number: u8) {
+        let same = self.still > 0 && number == self.number;
+        self.moved |= self.still > 0 && !same;
+        self.still = if same { self.still.saturating_add(1) } else { 1 };
+        self.number = number;
     }
 }
 
@@ -124,15 +126,77 @@ impl Outbox {
     }
 }
 
+/// Whether a sender lives on a link, or only its frames go round.
+#[derive(Debug, Clone, Copy)]
+struct Doubt {
+    asked: Duration,
+    withheld: u8,
+}
+
 #[derive(Debug)]
 struct Link {
     name: String,
+    rules: LinkRules,
+    place: Option<u8>,
     splitter: Splitter,
+    /// What came on an earlier connection of this name.
+    earlier: Counts,
     sources: BTreeMap<(u8, u8), Source>,
-    /// Those who have sent nothing yet that could be checked.
-    strangers: Source,
+    /// Senders whose copies came of what was sent here.
+    doubts: BTreeMap<(u8, u8), Doubt>,
     out: Outbox,
+    budget: Budget,
     counters: Counters,
+}
+
+impl Link {
+    /// Whether a source was heard here of late: its frames have no business here.
+    fn is_home_of(&self, source: (u8, u8), now: Duration) -> bool {
+        self.sources.get(&source).is_some_and(|s| now.saturating_sub(s.heard) < LIVES_HERE)
+    }
+
+    /// Whether it is still in doubt.
+    fn is_doubted(&self, source: (u8, u8)) -> bool {
+        self.doubts.get(&source).is_some_and(|doubt| doubt.withheld < WITHHELD)
+    }
+
+    /// Sends, unless the link's filter or rate is against it.
+    fn offer(&mut self, frame: &PacketRef<'_>, group: u64, now: Duration) -> bool {
+        if !self.rules.sends(frame.id) {
+            self.counters.filtered += 1;
+            return false;
+        }
+        if self.rules.rate.is_some_and(|rate| !self.budget.takes(rate, frame, now)) {
+            self.counters.limited += 1;
+            return false;
+        }
+        self.out.push(frame.raw, group);
+        true
+    }
+
+    /// A copy has come that went out here before: its sender may live here.
+    fn doubt(&mut self, source: (u8, u8), now: Duration) {
+        if self.doubts.len() >= MAX_SOURCES {
+            self.doubts.clear();
+        }
+        let doubt = self.doubts.entry(source).or_insert(Doubt { asked: now, withheld: 0 });
+        if now.saturating_sub(doubt.asked) > DOUBT_AGAIN {
+            *doubt = Doubt { asked: now, withheld: 0 };
+        }
+    }
+
+    /// The entry of a sender; whether it is new. The one silent for longest makes room.
+    fn source(&mut self, key: (u8, u8), now: Duration) -> (&mut Source, bool) {
+        let new = !self.sources.contains_key(&key);
+        if new
+            && self.sources.len() >= MAX_SOURCES
+            && let Some(oldest) = self.sources.iter().min_by_key(|(_, s)| s.heard).map(|(k, _)| *k)
+        {
+            self.sources.remove(&oldest);
+        }
+        self.doubts.remove(&key);
+        (self.sources.entry(key).or_insert_with(|| Source::new(now)), new)
+    }
 }
 
 /// A request whose answer will tell a link's round trip.
@@ -156,9 +220,15 @@ pub enum Notice {
 }
 
 /// A MAVLink router.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Router {
     links: BTreeMap<LinkId, Link>,
+    /// What links that are gone have carried, by their names.
+    closed: BTreeMap<String, Counters>,
+    history: History,
+    copies_within: Duration,
+    /// Two routers of a ring must not withhold the same frames.
+    salt: u64,
     next_link: u32,
     next_group: u64,
     pending: Vec<(Asked, LinkId, Duration)>,
@@ -171,26 +241,88 @@ pub struct Router {
     signing_kept: u64,
 }
 
+impl Default for Router {
+    fn default() -> Self {
+        Self {
+            links: BTreeMap::new(),
+            closed: BTreeMap::new(),
+            history: History::default(),
+            copies_within: COPY_WITHIN,
+            salt: 0,
+            next_link: 0,
+            next_group: 0,
+            pending: Vec::new(),
+            control: None,
+            suppressed_setpoints: 0,
+            mode_asked: Vec::new(),
+            notices: Vec::new(),
+            signing_kept: 0,
+        }
+    }
+}
+
 impl Router {
+    /// A router beside others in a ring, each of which has another `salt`.
+    #[must_use]
+    pub fn salted(salt: u64) -> Self {
+        Self { salt, ..Self::default() }
+    }
+
     /// A link that has heard nothing yet.
     pub fn add(&mut self, name: String) -> LinkId {
+        self.add_with(name, LinkRules::default())
+    }
+
+    /// A link with rules of its own. One whose name is taken gets a number behind it; one whose name was that
+    /// of a link that is gone counts on.
+    pub fn add_with(&mut self, name: String, rules: LinkRules) -> LinkId {
         let id = LinkId(self.next_link);
         self.next_link += 1;
+        let name = self.unique(name);
+        let counters = self.closed.remove(&name).unwrap_or_default();
+        let taken = self.links.values().fold(LinkSet::default(), |set, l| set.with(LinkSet::of(l.place)));
         let link = Link {
             name,
+            rules,
+            place: taken.free(),
             splitter: Splitter::default(),
+            earlier: counters.frames,
             sources: BTreeMap::new(),
-            strangers: Source::new(Duration::ZERO),
+            doubts: BTreeMap::new(),
             out: Outbox::default(),
-            counters: Counters::default(),
+            budget: Budget::default(),
+            counters,
         };
         self.links.insert(id, link);
         id
     }
 
-    /// Forgets a link and everybody behind it.
+    fn unique(&self, name: String) -> String {
+        let taken = |name: &str| self.links.values().any(|link| link.name == name);
+        let mut unique = name.clone();
+        for number in 2_u32.. {
+            if !taken(&unique) {
+                break;
+            }
+            unique = format!("{name} #{number}");
+        }
+        unique
+    }
+
+    /// Forgets a link and everybody behind it, but not what it has carried: peers of one listening endpoint
+    /// are counted together once they are gone.
     pub fn remove(&mut self, id: LinkId) {
-        self.links.remove(&id);
+        let Some(link) = self.links.remove(&id) else { return };
+        let name = match link.name.split_once(" < ") {
+            Some((endpoint, _)) => format!("{endpoint} < closed"),
+            None => link.name,
+        };
+        self.closed.entry(name).or_default().merge(&link.counters);
+    }
+
+    /// For how long the same bytes are copies, [`COPY_WITHIN`] if nothing is said; zero passes all on.
+    pub fn copies_within(&mut self, within: Duration) {
+        self.copies_within = within;
     }
 
     /// From now on only `by` sends setpoints to system `vehicle`; `None` ends that.
@@ -217,14 +349,14 @@ impl Router {
             }
         });
         if let Some(link) = self.links.get_mut(&from) {
-            link.counters.frames = splitter.counts();
+            link.counters.frames = link.earlier.plus(splitter.counts());
             link.splitter = splitter;
         }
     }
 
     /// Passes a frame on; whether it was no copy and may be logged.
     fn route(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> bool {
-        if !self.is_new(from, frame, now) {
+        if !self.accepts(from, frame) || !self.is_new(from, frame, now) {
             return false;
         }
         if frame.id == id::SETUP_SIGNING {
@@ -235,52 +367,105 @@ impl Router {
             return false;
         }
         self.time(from, frame, now);
-        let source = (frame.system, frame.component);
-        let Target { system, component } = frame.target();
-        let reach = if system == 0 { Reach::All } else { self.reach(system, component) };
+        let mut targets = self.targets(from, frame, now);
+        self.withhold(&mut targets, frame);
         let group = self.next_group;
-        for (&id, link) in &mut self.links {
-            let wanted = match reach {
-                Reach::All => true,
-                Reach::System => link.sources.keys().any(|&(s, _)| s == system),
-                Reach::Component => link.sources.contains_key(&(system, component)),
-            };
-            let lives_there =
-                || link.sources.get(&source).is_some_and(|s| now.saturating_sub(s.heard) < LIVES_HERE);
-            if id != from && wanted && !lives_there() {
-                link.out.push(frame.raw, group);
+        let mut sent = LinkSet::default();
+        for id in targets {
+            if let Some(link) = self.links.get_mut(&id)
+                && link.offer(frame, group, now)
+            {
+                sent = sent.with(LinkSet::of(link.place));
             }
         }
+        self.history.sent(self.key(frame), sent);
         true
     }
 
-    /// Counts a frame and learns where its sender lives, unless it is a copy.
-    fn is_new(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> bool {
-        let fingerprint = fingerprint(frame.raw);
-        let key = (frame.system, frame.component);
-        let copy = self.links.values().any(|link| {
-            let source = link.sources.get(&key).or((!frame.known).then_some(&link.strangers));
-            source.is_some_and(|s| s.remembers(fingerprint, now))
-        });
+    /// Whether the link's filter lets a frame in.
+    fn accepts(&mut self, from: LinkId, frame: &PacketRef<'_>) -> bool {
         let Some(link) = self.links.get_mut(&from) else { return false };
-        if copy {
-            link.counters.duplicates += 1;
-            return false;
-        }
-        link.counters.last_heard = Some(now);
-        // What could not be checked may be junk, and teaches nothing.
-        if frame.known && !link.sources.contains_key(&key) {
-            self.notices.push(Notice::Found(from, frame.system, frame.component));
-            link.sources.insert(key, Source::new(now));
-        }
-        let Some(source) = link.sources.get_mut(&key) else {
-            link.strangers.remember(fingerprint, now);
-            return true;
+        let accepts = link.rules.accepts(frame.id);
+        link.counters.filtered += u64::from(!accepts);
+        accepts
+    }
+
+    /// The links to which a frame goes.
+    fn targets(&self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> Vec<LinkId> {
+        let source = (frame.system, frame.component);
+        let Target { system, component } = frame.target();
+        let reach = if system == 0 { Reach::All } else { self.reach(system, component) };
+        let wanted = |link: &Link| match reach {
+            Reach::All => true,
+            Reach::System => link.sources.keys().any(|&(s, _)| s == system),
+            Reach::Component => link.sources.contains_key(&(system, component)),
         };
-        source.heard = now;
-        link.counters.numbered(source.sequence.next(frame.sequence));
-        source.remember(fingerprint, now);
-        true
+        let rules = self.links.get(&from).map(|link| &link.rules);
+        let goes = |link: &Link| {
+            if rules.is_some_and(|rules| rules.joins(&link.rules)) {
+                return false;
+            }
+            let one_of = |holds: &dyn Fn(&Link) -> bool| {
+                let mut joined = self.links.values().filter(|l| l.rules.joins(&link.rules));
+                holds(link) || link.rules.group.is_some() && joined.any(holds)
+            };
+            one_of(&wanted) && !one_of(&|l| l.is_home_of(source, now))
+        };
+        self.links.iter().filter(|&(&id, link)| id != from && goes(link)).map(|(&id, _)| id).collect()
+    }
+
+    /// Every other frame goes to no link on which its sender may live, as long as it goes anywhere.
+    fn withhold(&mut self, targets: &mut Vec<LinkId>, frame: &PacketRef<'_>) {
+        let source = (frame.system, frame.component);
+        let certain = |id: &LinkId| self.links.get(id).is_some_and(|link| !link.is_doubted(source));
+        if !targets.iter().all(certain)
+            && targets.iter().any(certain)
+            && (self.is_fresh_doubt(targets, source) || history::fingerprint(self.salt, frame.raw) & 1 == 1)
+        {
+            targets.retain(certain);
+            let doubts = self.links.values_mut().filter_map(|link| link.doubts.get_mut(&source));
+            doubts.for_each(|doubt| doubt.withheld = doubt.withheld.saturating_add(1));
+        }
+    }
+
+    /// Whether one of these links is in doubt of late: the next frame is withheld at once.
+    fn is_fresh_doubt(&self, targets: &[LinkId], source: (u8, u8)) -> bool {
+        let mut doubts = targets.iter().filter_map(|id| self.links.get(id)?.doubts.get(&source));
+        doubts.any(|doubt| doubt.withheld == 0)
+    }
+
+    /// Under what name the frames of a sender are remembered: what could not be checked may be junk.
+    fn key(&self, frame: &PacketRef<'_>) -> history::SourceKey {
+        let source = (frame.system, frame.component);
+        let known = frame.known || self.links.values().any(|link| link.sources.contains_key(&source));
+        known.then_some(source)
+    }
+
+    /// Counts a frame and learns where its sender lives, of a copy, too. Whether it is none.
+    fn is_new(&mut self, from: LinkId, frame: &PacketRef<'_>, now: Duration) -> bool {
+        let source = (frame.system, frame.component);
+        let key = self.key(frame);
+        let Some(link) = self.links.get_mut(&from) else { return false };
+        // The first frames of a sender tell nothing about how it counts.
+        let counts = key.is_none() || link.sources.get(&source).is_some_and(Source::counts);
+        let place = LinkSet::of(link.place);
+        let verdict = self.history.judge(key, frame.raw, place, counts, now, self.copies_within);
+        link.counters.last_heard = Some(now);
+        link.counters.duplicates += u64::from(verdict != CopyVerdict::New);
+        let knows = link.sources.contains_key(&source);
+        if verdict == (CopyVerdict::Copy { echo: true }) && !knows {
+            link.doubt(source, now);
+        } else if frame.known || (knows && verdict == CopyVerdict::New) {
+            let (entry, new) = link.source(source, now);
+            entry.heard = now;
+            entry.numbered(frame.sequence);
+            let heard = entry.sequence.next(frame.sequence);
+            link.counters.numbered(heard);
+            if new {
+                self.notices.push(Notice::Found(from, source.0, source.1));
+            }
+        }
+        verdict == CopyVerdict::New
     }
 
     fn reach(&self, system: u8, component: u8) -> Reach {
@@ -391,10 +576,13 @@ impl Router {
     }
 
     /// A datagram that counts as sent could not be sent after all.
-    pub fn not_sent(&mut self, id: LinkId, bytes: usize) {
+    pub fn not_sent(&mut self, id: LinkId, datagram: &[u8]) {
+        let mut frames = 0;
+        Splitter::default().split(datagram, |_| frames += 1);
         if let Some(link) = self.links.get_mut(&id) {
             link.counters.send_errors += 1;
-            link.counters.sent_bytes = link.counters.sent_bytes.saturating_sub(bytes as u64);
+            link.counters.sent_frames = link.counters.sent_frames.saturating_sub(frames);
+            link.counters.sent_bytes = link.counters.sent_bytes.saturating_sub(datagram.len() as u64);
         }
     }
 
@@ -409,6 +597,11 @@ impl Router {
         self.links
             .values()
             .map(|link| (link.name.as_str(), link.sources.keys().copied().collect(), &link.counters))
+    }
+
+    /// Name and counters of the links that are gone.
+    pub fn closed(&self) -> impl Iterator<Item = (&str, &Counters)> {
+        self.closed.iter().map(|(name, counters)| (name.as_str(), counters))
     }
 
     /// Setpoints suppressed since [`Router::take_control`].
@@ -467,13 +660,7 @@ fn mode_command(frame: &PacketRef<'_>) -> Option<u16> {
     (disarms || COMMANDS.contains(&command)).then_some(command)
 }
 
-/// What tells a frame from others. Nobody gains by unequal ones that collide: a forger could simply send
-/// a frame of his own.
-fn fingerprint(raw: &[u8]) -> u64 {
-    let mut hasher = DefaultHasher::new();
-    hasher.write(raw);
-    hasher.finish()
-}
-
+#[cfg(test)]
+mod ring_tests;
 #[cfg(test)]
 mod tests;

@@ -7,20 +7,20 @@ use super::*;
 const NOW: Duration = Duration::from_secs(100);
 
 /// A component with its own sequence numbers.
-struct Sender(Encoder);
+pub(super) struct Sender(Encoder);
 
 impl Sender {
-    fn new(system: u8, component: u8) -> Self {
+    pub fn new(system: u8, component: u8) -> Self {
         Self(Encoder::new(system, component))
     }
 
-    fn heartbeat(&mut self) -> Vec<u8> {
+    pub fn heartbeat(&mut self) -> Vec<u8> {
         let mut out = Vec::new();
         self.0.push(&mut out, &dialect::HEARTBEAT_DATA::default());
         out
     }
 
-    fn command(&mut self, command: MavCmd, system: u8, component: u8) -> Vec<u8> {
+    pub fn command(&mut self, command: MavCmd, system: u8, component: u8) -> Vec<u8> {
         let mut out = Vec::new();
         let ask = dialect::COMMAND_LONG_DATA {
             command,
@@ -29,6 +29,18 @@ impl Sender {
             ..Default::default()
         };
         self.0.push(&mut out, &ask);
+        out
+    }
+
+    pub fn attitude(&mut self) -> Vec<u8> {
+        let mut out = Vec::new();
+        self.0.push(&mut out, &dialect::ATTITUDE_DATA { roll: 0.1, ..Default::default() });
+        out
+    }
+
+    pub fn position(&mut self) -> Vec<u8> {
+        let mut out = Vec::new();
+        self.0.push(&mut out, &dialect::LOCAL_POSITION_NED_DATA { vz: 0.1, ..Default::default() });
         out
     }
 
@@ -42,7 +54,7 @@ impl Sender {
 }
 
 /// What came out of a router, in order.
-fn out(router: &mut Router) -> Vec<(LinkId, Vec<u8>)> {
+pub(super) fn out(router: &mut Router) -> Vec<(LinkId, Vec<u8>)> {
     let mut out = Vec::new();
     router.flush(|id, bytes| {
         out.push((id, bytes.to_vec()));
@@ -51,7 +63,7 @@ fn out(router: &mut Router) -> Vec<(LinkId, Vec<u8>)> {
     out
 }
 
-fn send(router: &mut Router, from: LinkId, bytes: &[u8]) -> Vec<LinkId> {
+pub(super) fn send(router: &mut Router, from: LinkId, bytes: &[u8]) -> Vec<LinkId> {
     router.receive(from, bytes, NOW, |_| {});
     out(router)
         .into_iter()
