@@ -105,8 +105,9 @@ pub struct Autopilot {
     under_way: u64,
     /// Of the speed loop: what it has learned of drag.
     learned: [f64; 3],
-    /// The largest speed that it has flown, level, and the heights between which, m.
+    /// The largest level speed that it has flown, m/s.
     pub fastest: f64,
+    /// The heights between which it has flown, m.
     pub heights: [f64; 2],
     /// Commands for a mode that get lost: so many.
     pub deaf_to_modes: u32,

@@ -262,7 +262,7 @@ impl LinkShell {
             }
         });
         for (peer, bytes) in links.flush().await {
-            tracing::debug!(%peer, "{bytes} bytes were not sent");
+            tracing::debug!(%peer, "{} bytes were not sent", bytes.len());
         }
     }
 
