@@ -103,10 +103,19 @@ pub enum PolicyError {
     },
 }
 
-/// Names and bytes of the policies that ship with the program: Scenario 1's, Scenario 2's.
-pub const SHIPPED: [(&str, &[u8]); 2] = [
+/// Names and bytes of the policies that ship with the program: those of the centroid world model for Scenario 1
+/// and 2, then those of the learned one.
+pub const SHIPPED: [(&str, &[u8]); 4] = [
     ("pretrained/policy_s1.safetensors", include_bytes!("../../pretrained/policy_s1.safetensors")),
     ("pretrained/policy_s2.safetensors", include_bytes!("../../pretrained/policy_s2.safetensors")),
+    (
+        "pretrained/learned/policy_s1.safetensors",
+        include_bytes!("../../pretrained/learned/policy_s1.safetensors"),
+    ),
+    (
+        "pretrained/learned/policy_s2.safetensors",
+        include_bytes!("../../pretrained/learned/policy_s2.safetensors"),
+    ),
 ];
 
 impl Policies {
@@ -134,12 +143,12 @@ impl Policies {
         Self { motion, power, world: String::new(), scope: None }
     }
 
-    /// The policies that ship with the program, optimised for the paper's Scenario 1 or 2.
+    /// The policies of the centroid world model that ship with the program, optimised for the paper's Scenario 1 or 2.
     ///
     /// # Errors
     /// If no policy ships for this scenario.
     pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
-        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(n)) else {
+        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(..2)?.get(n)) else {
             let message = format!("no policy ships for scenario {scenario}");
             return Err(PolicyError::Content { path: "pretrained".into(), message });
         };
