@@ -209,7 +209,15 @@ fn adapt(args: &Adapt) -> anyhow::Result<()> {
     let bar = progress::bar("adapt", args.steps as u64);
     let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &bar)?;
     bar.finish();
-    adapted.save(&args.out)?;
+    let learned::adapt::Adapted { model, explained } = adapted;
+    model.save(&args.out)?;
+    println!("the actions explain {explained:.3} of z_c's second differences in episodes that were not trained on");
+    anyhow::ensure!(
+        explained >= learned::adapt::FOUND,
+        "the UAV is not found in these pictures: more episodes or more --steps, or `model train --data`; the model is \
+         in {} to be looked at",
+        args.out.display()
+    );
     println!("{} steps on {} episodes in {:.1} s; in {}", args.steps, recording.episodes().len(), stopwatch.seconds().0, args.out.display());
     Ok(())
 }

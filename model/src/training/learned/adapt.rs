@@ -27,6 +27,18 @@ pub fn recipe(steps: usize, episodes: usize) -> LearnedConfig {
     config
 }
 
+/// A fine-tuned world model.
+#[derive(Debug)]
+pub struct Adapted {
+    /// The world model.
+    pub model: WorldModel,
+    /// [`readings::explained`] in the episodes that were not trained on.
+    pub explained: f64,
+}
+
+/// Share that the actions must explain for the UAV to be found.
+pub const FOUND: f64 = 0.9;
+
 /// The world model with its encoder fine-tuned.
 ///
 /// # Errors
@@ -37,7 +49,7 @@ pub fn adapt(
     steps: usize,
     seed: u64,
     bar: &ProgressBar,
-) -> Result<WorldModel, LearnedError> {
+) -> Result<Adapted, LearnedError> {
     let name = model.encoder.name();
     let Some(sight) = model.encoder.learned() else { return Err(LearnedError::NotLearned(name)) };
     let config = recipe(steps, recording.episodes().len());
@@ -45,6 +57,7 @@ pub fn adapt(
     let weights = learned::train(recording, &config, Some(&start), &Noise::new(seed), None, bar)?;
     let readings = readings::read_all(&weights, recording, || ())?;
     let noise = readings::noise(&readings, recording, recording.episodes().len() - config.held_out.max(1));
+    let explained = readings::explained(&readings, recording, recording.episodes().len() - config.held_out.max(1));
     model.encoder = FrameEncoder::Learned(LearnedSight { encoder: VoteEncoder::new(weights), noise });
-    Ok(model)
+    Ok(Adapted { model, explained })
 }

@@ -68,6 +68,32 @@ pub fn noise(readings: &EpisodeReadings, recording: &Recording, first: usize) ->
     ReadingNoise::fit([&samples[0], &samples[1]])
 }
 
+/// Share of the variance of z_c's second differences that the actions explain, in the episodes from `first` on, lags
+/// of 16: what tells without a label whether the UAV is found. The median picture counts: walls and lost bodies
+/// are left out beyond six median deviations.
+#[must_use]
+pub fn explained(readings: &EpisodeReadings, recording: &Recording, first: usize) -> f64 {
+    const LAG: usize = 16;
+    let px = (recording.a_max * SIDE as f64) as f32;
+    let mut pairs: Vec<[f64; 2]> = Vec::new();
+    for (episode, votes) in recording.episodes().iter().zip(&readings.votes).skip(first) {
+        for k in 0..votes.len().saturating_sub(2 * LAG) {
+            let y = episode.response(k, LAG) * px;
+            for (axis, y) in [y.x, y.y].into_iter().enumerate() {
+                let p = [0, 1, 2].map(|m| votes[k + m * LAG].p[0][axis]);
+                pairs.push([f64::from(p[2] - 2.0 * p[1] + p[0]), f64::from(y)]);
+            }
+        }
+    }
+    let median = |of: &dyn Fn(&[f64; 2]) -> f64| {
+        let mut values: Vec<f64> = pairs.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or_default()
+    };
+    let (error, size) = (median(&|[d, y]| (d - y).abs()), median(&|[_, y]| y.abs()));
+    if size > 0.0 { 1.0 - (error / size).powi(2) } else { 0.0 }
+}
+
 /// Whether a reading of a body is one to learn from.
 fn is_good(noise: &ReadingNoise, votes: &Votes, body: usize) -> bool {
     noise.sigma_px(body, votes.spread[body]) < GOOD_PX
