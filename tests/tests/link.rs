@@ -97,7 +97,7 @@ fn mavproxy_has_parameters_and_a_mission_at_the_edge_of_range() {
     command.arg("--state-basedir").arg(folder.path()).current_dir(folder.path());
     let mut mavproxy = Program::converse("mavproxy.py", command).unwrap();
     for (say, hears) in [
-        (None, "Received 78 parameters"),
+        (None, " parameters to "),
         (Some(format!("wp load {}", plan.display())), "MISSION_ACK: TYPE_MISSION: ACCEPTED"),
         (Some("wp list".into()), "Saved 3 waypoints"),
     ] {
@@ -109,10 +109,7 @@ fn mavproxy_has_parameters_and_a_mission_at_the_edge_of_range() {
     mavproxy.tell("exit").unwrap();
     let told = end(link);
     println!("{told}");
-    tells(
-        &told,
-        &["parameters down: 78 entries in ", "mission up: 3 entries in ", "mission down: 3 entries in "],
-    );
+    tells(&told, &["parameters down: ", "mission up: 3 entries in ", "mission down: 3 entries in "]);
 }
 
 fn flown(endpoint: &str, folder: &Path) -> String {
