@@ -14,6 +14,7 @@ from link import VEHICLE, Link, mavlink
 MISSION = mavlink.MAV_MISSION_TYPE_MISSION
 GLOBAL = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 PERIOD_S = 1.5
+SILENCE_S = 4.0
 
 
 def paced(ask):
@@ -51,16 +52,17 @@ def parameters(link):
 
 
 def upload(link, items):
-    """Uploads items as they are asked for; the count again until the vehicle asks."""
-    asked = []
+    """Uploads items as they are asked for. Where the vehicle has not asked for a while, its last word was lost or it
+    has given up, and the upload begins again."""
+    asked = [-math.inf]
 
     def begin():
-        if not asked:
+        if time.monotonic() - asked[-1] > SILENCE_S:
             link.send.mission_count_send(1, VEHICLE, len(items), MISSION)
 
     def serve(message):
         if message.get_type() in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            asked.append(message.seq)
+            asked.append(time.monotonic())
             link.send.mission_item_int_send(*items[message.seq])
         return message.get_type() == "MISSION_ACK" and message.type == mavlink.MAV_MISSION_ACCEPTED
 
