@@ -34,17 +34,40 @@ fn main() {
             }
         }
         for (name, rows) in ["c", "u"].iter().zip(&rows) {
-            let med = |axis: usize| { let mut v: Vec<f32> = rows.iter().map(|r| r[axis]).collect(); v.sort_by(f32::total_cmp); v[v.len() / 2] };
+            let med = |axis: usize| {
+                let mut v: Vec<f32> = rows.iter().map(|r| r[axis]).collect();
+                v.sort_by(f32::total_cmp);
+                v[v.len() / 2]
+            };
             let m = [med(0), med(1)];
             let mut e: Vec<f32> = rows.iter().map(|r| (r[0] - m[0]).abs() + (r[1] - m[1]).abs()).collect();
             e.sort_by(f32::total_cmp);
-            print!("  {name} offset {:+.2} {:+.2} p50 {:.3} p90 {:.3} lost {:.3}", m[0], m[1], e[e.len() / 2], e[e.len() * 9 / 10], e.iter().filter(|e| **e > 3.0).count() as f64 / e.len() as f64);
+            print!(
+                "  {name} offset {:+.2} {:+.2} p50 {:.3} p90 {:.3} lost {:.3}",
+                m[0],
+                m[1],
+                e[e.len() / 2],
+                e[e.len() * 9 / 10],
+                e.iter().filter(|e| **e > 3.0).count() as f64 / e.len() as f64
+            );
         }
         println!();
     };
     tracing_subscriber::fmt().with_max_level(tracing::Level::DEBUG).init();
-    let w = learned::train_watched(&recording, &config, init.as_ref(), &Noise::new(seed), Some(out), &bar, &mut |step, w| {
-        if step % 500 == 0 || step == steps { print!("{step} {:.0} s", start.elapsed().as_secs_f64()); monitor(w); }
-    }).unwrap();
+    let w = learned::train_watched(
+        &recording,
+        &config,
+        init.as_ref(),
+        &Noise::new(seed),
+        Some(out),
+        &bar,
+        &mut |step, w| {
+            if step % 500 == 0 || step == steps {
+                print!("{step} {:.0} s", start.elapsed().as_secs_f64());
+                monitor(w);
+            }
+        },
+    )
+    .unwrap();
     learned::save_encoder(&w, &out.join("encoder.safetensors")).unwrap();
 }

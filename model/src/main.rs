@@ -14,8 +14,8 @@ use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::Recording;
 use crpl_sitl::Scenario;
-use crpl_sitl::program::{progress, terminal};
 use crpl_sitl::program::timing::Stopwatch;
+use crpl_sitl::program::{progress, terminal};
 
 /// Train and evaluate CRPL's world model.
 #[derive(Debug, Parser)]
@@ -157,8 +157,7 @@ fn record(config: &TrainConfig, part: &LearnedTraining, out: &std::path::Path) -
     exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, out, || bar.inc(1))?;
     bar.finish();
     let path = out.join("config.toml");
-    std::fs::write(&path, toml::to_string(config)?)
-        .with_context(|| format!("writing {}", path.display()))?;
+    std::fs::write(&path, toml::to_string(config)?).with_context(|| format!("writing {}", path.display()))?;
     let ExplorationConfig { episodes, pictures, .. } = part.recording;
     println!("{episodes} episodes of {pictures} pictures in {}", out.display());
     Ok(())
@@ -211,14 +210,22 @@ fn adapt(args: &Adapt) -> anyhow::Result<()> {
     bar.finish();
     let learned::adapt::Adapted { model, explained } = adapted;
     model.save(&args.out)?;
-    println!("the actions explain {explained:.3} of z_c's second differences in episodes that were not trained on");
+    println!(
+        "the actions explain {explained:.3} of z_c's second differences in episodes that were not trained on"
+    );
     anyhow::ensure!(
         explained >= learned::adapt::FOUND,
         "the UAV is not found in these pictures: more episodes or more --steps, or `model train --data`; the model is \
          in {} to be looked at",
         args.out.display()
     );
-    println!("{} steps on {} episodes in {:.1} s; in {}", args.steps, recording.episodes().len(), stopwatch.seconds().0, args.out.display());
+    println!(
+        "{} steps on {} episodes in {:.1} s; in {}",
+        args.steps,
+        recording.episodes().len(),
+        stopwatch.seconds().0,
+        args.out.display()
+    );
     Ok(())
 }
 

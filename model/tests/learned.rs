@@ -25,7 +25,8 @@ fn record(dir: &Path) {
 }
 
 fn small(steps: usize) -> LearnedConfig {
-    let mut config = LearnedConfig { steps, triples: 2, held_out: 1, save_every: 3, ..LearnedConfig::default() };
+    let mut config =
+        LearnedConfig { steps, triples: 2, held_out: 1, save_every: 3, ..LearnedConfig::default() };
     config.teacher.from = 1;
     config
 }
@@ -56,10 +57,19 @@ fn an_interrupted_training_ends_with_the_bytes_of_one_that_was_not() {
     // Stops after step 6 of 7 with the state of that step on the disk, and goes on.
     let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         let mut watch = |step: usize, _: &VoteWeights| assert!(step < 7, "stopped");
-        learned::train_watched(&recording, &config, None, &Noise::new(5), Some(progress.path()), &bar, &mut watch)
+        learned::train_watched(
+            &recording,
+            &config,
+            None,
+            &Noise::new(5),
+            Some(progress.path()),
+            &bar,
+            &mut watch,
+        )
     }));
     assert!(stopped.is_err());
-    let resumed = learned::train(&recording, &config, None, &Noise::new(5), Some(progress.path()), &bar).unwrap();
+    let resumed =
+        learned::train(&recording, &config, None, &Noise::new(5), Some(progress.path()), &bar).unwrap();
     assert_eq!(resumed, unbroken);
 }
 

@@ -66,7 +66,8 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
 
     let (model, networks) = (shipped(), Networks::embedded().expect("the shipped networks read"));
     assert_eq!(networks.world, crpl_model::world_model::checkpoint::fingerprint(&model).unwrap());
-    let config = ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20, camera: "clean".into() };
+    let config =
+        ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20, camera: "clean".into() };
     let measured = measure(&model, &networks, &config, &Scenario::default(), || ());
     let json = serde_json::to_value(&measured.report).unwrap();
 

@@ -7,10 +7,10 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use crpl_model::encoder::BuiltIn;
 use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
 use crpl_sitl::camera::{CameraConfig, Film};
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::World;
-use crpl_sitl::Scenario;
 use tests::{interchange, python};
 
 const ROUNDS: usize = 3;
@@ -43,7 +43,10 @@ fn main() -> Result<()> {
             .find_map(|line| line.strip_prefix("ONNX Runtime: ")?.split(' ').next()?.parse().ok())
             .context("the script prints no time")?;
         let ours = times[times.len() / 2];
-        println!("round {round}: ours {ours:.4} ms, ONNX Runtime {theirs:.4} ms a frame, ratio {:.2}", ours / theirs);
+        println!(
+            "round {round}: ours {ours:.4} ms, ONNX Runtime {theirs:.4} ms a frame, ratio {:.2}",
+            ours / theirs
+        );
     }
     Ok(())
 }

@@ -2,10 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use crpl_model::world_model::sight::FrameEncoder;
 use crpl_model::encoder::BuiltIn;
 use crpl_model::encoder::weights::Colour;
 use crpl_model::world_model::WorldModel;
+use crpl_model::world_model::sight::FrameEncoder;
 use tests::{interchange, python};
 
 #[test]

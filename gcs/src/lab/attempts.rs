@@ -73,13 +73,14 @@ pub fn optimise_for(
     while attempt.number < last {
         let config = config.attempt(attempt);
         watch.attempt(attempt, &config);
-        let (mut policies, outcome) = match optimise(&problem, &config, attempt.seed(seed), progress.take(), watch) {
-            Err(error) => match watch.stop().and_then(StopSignal::get) {
-                Some(signal) => bail!(signal.exit(&error.to_string())),
-                None => return Err(error.into()),
-            },
-            Ok(found) => found,
-        };
+        let (mut policies, outcome) =
+            match optimise(&problem, &config, attempt.seed(seed), progress.take(), watch) {
+                Err(error) => match watch.stop().and_then(StopSignal::get) {
+                    Some(signal) => bail!(signal.exit(&error.to_string())),
+                    None => return Err(error.into()),
+                },
+                Ok(found) => found,
+            };
         let flown = check::after(&config, world, &policies, scenario, watch.stop())?;
         watch.flown(&flown);
         policies.scope = Some(PolicyScope::new(scenario.clone(), flown.gust_std));

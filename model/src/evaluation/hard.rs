@@ -128,9 +128,13 @@ fn looks(
                 let body = |position, velocity, radius| Body { position, velocity, radius };
                 let poses = Poses {
                     uav: body(uav, direction(&mut rng) * speed, scenario.uav_radius),
-                    obstacles: [body(obstacle, direction(&mut rng) * OBSTACLE_SPEED, scenario.obstacle().radius)]
-                        .into_iter()
-                        .collect(),
+                    obstacles: [body(
+                        obstacle,
+                        direction(&mut rng) * OBSTACLE_SPEED,
+                        scenario.obstacle().radius,
+                    )]
+                    .into_iter()
+                    .collect(),
                 };
                 let tick = Tick(20 * k as u64);
                 let latent = model.encode(&camera.frame(tick, &poses));
@@ -206,7 +210,10 @@ impl HardReport {
                 r.z_c_p90_px, r.z_u_p90_px
             );
         }
-        out += &format!("leakage R²: z_c of the obstacle {:.4}, z_u of the UAV {:.4}\n", self.leak_c_to_u, self.leak_u_to_c);
+        out += &format!(
+            "leakage R²: z_c of the obstacle {:.4}, z_u of the UAV {:.4}\n",
+            self.leak_c_to_u, self.leak_u_to_c
+        );
         out
     }
 }

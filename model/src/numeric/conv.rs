@@ -97,9 +97,8 @@ impl Sweep {
     pub fn convolution(from: Grid, to: Grid, kernel: usize, stride: usize, dilation: usize) -> Self {
         let reach = (kernel / 2 * dilation) as isize;
         let at = |k: usize| (k * dilation) as isize - reach;
-        let taps = (0..kernel * kernel)
-            .map(|n| Tap { dy: at(n / kernel), dx: at(n % kernel), weight: n })
-            .collect();
+        let taps =
+            (0..kernel * kernel).map(|n| Tap { dy: at(n / kernel), dx: at(n % kernel), weight: n }).collect();
         let inputs = from.channels;
         Self { from, to, taps, inputs, cells: to.side, from_stride: stride, to_stride: 1, first: [0, 0] }
     }
@@ -119,8 +118,8 @@ impl Sweep {
     #[must_use]
     pub fn transposed(&self, from: Grid, to: Grid) -> Vec<Self> {
         let stride = self.from_stride as isize;
-        let phases = (0..self.from_stride * self.from_stride)
-            .map(|n| [n / self.from_stride, n % self.from_stride]);
+        let phases =
+            (0..self.from_stride * self.from_stride).map(|n| [n / self.from_stride, n % self.from_stride]);
         phases
             .map(|first| {
                 // Cell i s + phase of the input has met output cell o = (i s + phase - d) / s by tap d.
@@ -169,10 +168,7 @@ impl Sweep {
     #[inline(always)]
     fn places(&self, cy: usize, cx: usize) -> (usize, usize) {
         let ([fy, fx], s) = (self.first, self.to_stride);
-        (
-            self.from.at(cy * self.from_stride, cx * self.from_stride),
-            self.to.at(fy + cy * s, fx + cx * s),
-        )
+        (self.from.at(cy * self.from_stride, cx * self.from_stride), self.to.at(fy + cy * s, fx + cx * s))
     }
 
     /// Where a tap of the cell that is centred at `centre` begins.
@@ -235,8 +231,7 @@ fn tile<const B: usize, const T: usize>(
     y: &mut [f32],
 ) {
     let (centre, out) = sweep.places(cy, cx);
-    let (step, out_step) =
-        (sweep.from_stride * sweep.from.channels, sweep.to_stride * sweep.to.channels);
+    let (step, out_step) = (sweep.from_stride * sweep.from.channels, sweep.to_stride * sweep.to.channels);
     let mut sums = [[[0.0f32; WIDTH]; B]; T];
     for (t, sums) in sums.iter_mut().enumerate() {
         let cell = &y[out + t * out_step..][..B * WIDTH];
@@ -411,11 +406,12 @@ mod tests {
             // <w, dL/dw> = <y, dy>, as y is linear in w; and <x, dL/dx> = <y, dy>.
             let mut dw = vec![0.0; w.len()];
             sweep.add_weights(&x, &dy, &mut dw);
-            assert!((dot(&w, &dw) - wanted).abs() < 1e-2 * (1.0 + wanted.abs()) , "{layer:?}");
+            assert!((dot(&w, &dw) - wanted).abs() < 1e-2 * (1.0 + wanted.abs()), "{layer:?}");
             if from.channels % WIDTH == 0 {
                 let mut turned = Vec::with_capacity(w.len());
                 for w in w.chunks_exact(from.channels * to.channels) {
-                    turned.extend((0..w.len()).map(|n| w[n % from.channels * to.channels + n / from.channels]));
+                    turned
+                        .extend((0..w.len()).map(|n| w[n % from.channels * to.channels + n / from.channels]));
                 }
                 let mut dx = from.zeros();
                 for back in sweep.transposed(to, from) {

@@ -148,7 +148,8 @@ impl Policies {
     /// # Errors
     /// If no policy ships for this scenario.
     pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
-        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(..2)?.get(n)) else {
+        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(..2)?.get(n))
+        else {
             let message = format!("no policy ships for scenario {scenario}");
             return Err(PolicyError::Content { path: "pretrained".into(), message });
         };

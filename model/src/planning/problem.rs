@@ -12,7 +12,6 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::world_model::sight::FrameEncoder;
 use crate::numeric::kernel::{LANES, Lane, ZERO};
 use crate::planning::area::Area;
 use crate::planning::config::{HeadSource, OptimiseConfig, OptimiseError};
@@ -20,6 +19,7 @@ use crate::planning::exact::{Exact, Quantity};
 use crate::planning::head::Head;
 use crate::planning::plant::{Draws, Edge, Objective, Plant};
 use crate::planning::scope;
+use crate::world_model::sight::FrameEncoder;
 use crate::world_model::{StationHeads, WorldModel, checkpoint};
 
 /// What the world model must provide: plane coordinates of UAV and obstacle at these places, paper units.

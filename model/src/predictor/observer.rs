@@ -523,7 +523,8 @@ mod tests {
             for (n, model) in [lost.clone(), motion(0.0)].into_iter().enumerate() {
                 let mut observer = LatentObserver::new(model, 20);
                 for (y, a) in &flight {
-                    let shake = Vector2::new(StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+                    let shake =
+                        Vector2::new(StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
                     observer.observe(y + shake * (10.0 * SCALE * FRAME_NOISE), &[*a]);
                 }
                 errors[n] += (observer.estimate().unwrap().v - truth(&flight).v).norm() / 60.0;

@@ -99,7 +99,10 @@ pub fn train(
     };
     let trained: Vec<Option<_>> = PredictorKind::NETWORKS.par_iter().enumerate().map(fit).collect();
     let (all, curves) = trained.into_iter().flatten().unzip();
-    Ok(Trained { networks: Networks { all, bounds, world: checkpoint::planning_fingerprint(model)? }, curves })
+    Ok(Trained {
+        networks: Networks { all, bounds, world: checkpoint::planning_fingerprint(model)? },
+        curves,
+    })
 }
 
 /// Bounds for people: what they are by the probe, in px.

@@ -13,7 +13,6 @@ use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 
-use crate::world_model::sight::FrameEncoder;
 use crate::encoder::infer::Encoder;
 use crate::encoder::module::{Backend, NoBackend};
 use crate::encoder::probe::Probe;
@@ -36,6 +35,7 @@ use crate::world_model::card::{Card, FitCheck};
 use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
 use crate::world_model::config::{ConfigError, DataConfig, TrainConfig};
 use crate::world_model::dataset::{self, Episode, EpisodeStart, Triple};
+use crate::world_model::sight::FrameEncoder;
 use crate::world_model::stages::Init;
 use crate::world_model::{WorldModel, plane};
 use crpl_sitl::camera::cases::CameraError;
@@ -78,7 +78,9 @@ pub enum TrainError {
     #[error(transparent)]
     Camera(#[from] CameraError),
     /// Nothing tells the distance at which the bodies touch.
-    #[error("the recording holds no contact of UAV and obstacle beside pictures without one: the risk head needs both")]
+    #[error(
+        "the recording holds no contact of UAV and obstacle beside pictures without one: the risk head needs both"
+    )]
     Contacts,
     /// The model is not fit to ship.
     #[error("the model does not ship: {alarms}; it stands in {dir} to be looked at")]

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::heads::labels::HeadsConfig;
 use crate::predictor::{NetworksConfig, PredictorKind};
-use crate::world_model::learned::LearnedConfig;
 use crate::world_model::exploration::ExplorationConfig;
+use crate::world_model::learned::LearnedConfig;
 use crate::world_model::stages::{Layers, Stages};
 use crpl_sitl::camera::effects::Effects;
 use crpl_sitl::world::noise::Noise;

@@ -18,7 +18,6 @@ use crpl_sitl::camera::Frame;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use crate::world_model::sight::{FrameEncoder, LatentPlanes};
 pub use crate::encoder::infer::Latent;
 pub use crate::encoder::probe::{Affine, Probe};
 use crate::encoder::weights::{LATENT, on_plane, vector};
@@ -27,6 +26,7 @@ use crate::predictor::Predictor;
 use crate::predictor::linear::{Linear, Plane, PlaneLinear};
 use crate::predictor::observer::{LatentReading, MotionModel};
 use crate::world_model::card::Card;
+use crate::world_model::sight::{FrameEncoder, LatentPlanes};
 
 /// M of the learned encoder: more frames cost time and buy nothing in gusts (our choice).
 const LEARNED_WINDOW: usize = 20;

@@ -9,10 +9,10 @@ use burn::tensor::{Device, Tensor, TensorData};
 use crpl_sitl::camera::{CHANNELS, SIDE};
 
 use crate::encoder::module::{gradient_of, values};
+use crate::encoder::votes::BODIES;
 use crate::encoder::votes::network::INPUT_SCALE;
 use crate::encoder::votes::readout::{CELLS, PITCH, SHARPNESS, Votes, VotesGradient};
 use crate::encoder::votes::weights::{TRUNK, VoteWeights};
-use crate::encoder::votes::BODIES;
 use crate::encoder::weights::{LEAK, Layer};
 
 /// The learned encoder in burn.
@@ -120,7 +120,11 @@ impl VoteBatch {
         let each = spread.chunks_exact(BODIES).zip(evidence.chunks_exact(BODIES));
         p.chunks_exact(2 * BODIES)
             .zip(each)
-            .map(|(p, (s, e))| Votes { p: [[p[0], p[1]], [p[2], p[3]]], spread: [s[0], s[1]], evidence: [e[0], e[1]] })
+            .map(|(p, (s, e))| Votes {
+                p: [[p[0], p[1]], [p[2], p[3]]],
+                spread: [s[0], s[1]],
+                evidence: [e[0], e[1]],
+            })
             .collect()
     }
 }

@@ -2,9 +2,9 @@
 
 use crpl_sitl::camera::Frame;
 
+use crate::encoder::votes::BODIES;
 use crate::encoder::votes::readout::{self, Attention, CELLS, STRIDE, Votes, VotesGradient};
 use crate::encoder::votes::weights::{DEPTH, SIDES, TRUNK, VoteWeights};
-use crate::encoder::votes::BODIES;
 use crate::encoder::weights::{LEAK, Layer};
 use crate::numeric::conv::{Grid, Sweep, WIDTH};
 
@@ -59,7 +59,13 @@ pub struct VoteGradient {
 /// Grid number `n`: 0 is the frame, then the trunk's outputs, last the maps. Its border is as wide as the layer
 /// that reads it needs, and the layer before it in the backward pass.
 fn grid(n: usize) -> Grid {
-    let channels = if n == 0 { TRUNK[0].inputs } else if n <= DEPTH { TRUNK[n - 1].outputs } else { STRIDE };
+    let channels = if n == 0 {
+        TRUNK[0].inputs
+    } else if n <= DEPTH {
+        TRUNK[n - 1].outputs
+    } else {
+        STRIDE
+    };
     let reach = |n: usize| TRUNK.get(n).map_or(0, |c| c.kernel / 2 * c.dilation);
     let before = if n == 0 { 0 } else { reach(n - 1) };
     Grid { side: SIDES[n.min(DEPTH)], border: reach(n).max(before), channels }
@@ -184,7 +190,10 @@ impl VoteEncoder {
             for row in layer.sweep.to.rows() {
                 if n < DEPTH {
                     let y = &grids[n + 1][row.clone()];
-                    dy[row.clone()].iter_mut().zip(y).for_each(|(d, y)| *d *= if *y > 0.0 { 1.0 } else { LEAK });
+                    dy[row.clone()]
+                        .iter_mut()
+                        .zip(y)
+                        .for_each(|(d, y)| *d *= if *y > 0.0 { 1.0 } else { LEAK });
                 }
                 for cell in dy[row].chunks_exact(db.len()) {
                     db.iter_mut().zip(cell).for_each(|(b, d)| *b += d);

@@ -112,7 +112,10 @@ mod tests {
                 let mut difference = || 0.1 * spread * (normal() - 2.0 * normal() + normal());
                 let difference_px = [difference(), difference()];
                 let lost = n % 25 == 0;
-                SpreadSample { spread_px: spread, difference_px: difference_px.map(|d| if lost { 40.0 } else { d }) }
+                SpreadSample {
+                    spread_px: spread,
+                    difference_px: difference_px.map(|d| if lost { 40.0 } else { d }),
+                }
             })
             .collect();
         let noise = ReadingNoise::fit([&samples, &samples]);

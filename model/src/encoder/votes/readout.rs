@@ -94,7 +94,8 @@ pub fn gradient(
     for (body, Attention { w, votes }) in attention.iter().enumerate() {
         let ([dx, dy], ds, p) = (by.p[body], by.spread[body], p[body]);
         // dL/dw of each cell, and its mean under w, which the softmax takes out.
-        let by_w = |vote: [f32; 2]| dx * (vote[0] - p[0]) + dy * (vote[1] - p[1]) + ds * distance_squared(vote, p);
+        let by_w =
+            |vote: [f32; 2]| dx * (vote[0] - p[0]) + dy * (vote[1] - p[1]) + ds * distance_squared(vote, p);
         let mean: f32 = w.iter().zip(votes).map(|(w, v)| w * by_w(*v)).sum();
         for ((w, vote), cell) in w.iter().zip(votes).zip(dmaps.chunks_exact_mut(STRIDE)) {
             cell[3 * body] += SHARPNESS * w * (by_w(*vote) - mean);

@@ -21,8 +21,12 @@ const HELD_OUT: usize = 5;
 /// The recipe of a fine-tuning: the training's, without its search.
 #[must_use]
 pub fn recipe(steps: usize, episodes: usize) -> LearnedConfig {
-    let mut config =
-        LearnedConfig { steps, learning_rate: RATE, held_out: episodes / HELD_OUT, ..LearnedConfig::default() };
+    let mut config = LearnedConfig {
+        steps,
+        learning_rate: RATE,
+        held_out: episodes / HELD_OUT,
+        ..LearnedConfig::default()
+    };
     config.teacher.from = 0;
     config
 }
@@ -57,7 +61,8 @@ pub fn adapt(
     let weights = learned::train(recording, &config, Some(&start), &Noise::new(seed), None, bar)?;
     let readings = readings::read_all(&weights, recording, || ())?;
     let noise = readings::noise(&readings, recording, recording.episodes().len() - config.held_out.max(1));
-    let explained = readings::explained(&readings, recording, recording.episodes().len() - config.held_out.max(1));
+    let explained =
+        readings::explained(&readings, recording, recording.episodes().len() - config.held_out.max(1));
     model.encoder = FrameEncoder::Learned(LearnedSight { encoder: VoteEncoder::new(weights), noise });
     Ok(Adapted { model, explained })
 }

@@ -11,8 +11,8 @@ use crate::numeric::adam::Adam;
 use crate::numeric::kernel;
 use crate::numeric::mlp::Mlp;
 use crate::training::learned::batch::Drawn;
-use crate::world_model::learned::LearnedConfig;
 use crate::training::learned::teacher;
+use crate::world_model::learned::LearnedConfig;
 
 /// Index of the UAV among the bodies.
 const C: usize = 0;
@@ -178,9 +178,8 @@ fn second([p0, p1, p2]: [Place; 3]) -> Place {
 
 /// Correlation of second differences with the responses, and its gradient by them.
 fn correlation(differences: &[Place], responses: &[Place]) -> (f32, Vec<Place>) {
-    let dot = |a: &[Place], b: &[Place]| -> f32 {
-        a.iter().zip(b).map(|(a, b)| a[0] * b[0] + a[1] * b[1]).sum()
-    };
+    let dot =
+        |a: &[Place], b: &[Place]| -> f32 { a.iter().zip(b).map(|(a, b)| a[0] * b[0] + a[1] * b[1]).sum() };
     let (dd, yy) = (dot(differences, differences), dot(responses, responses));
     let root = (dd * yy + 1e-9).sqrt();
     let dy = dot(differences, responses);
@@ -205,7 +204,13 @@ impl LearnedLoss {
     }
 
     /// z_c: prediction by the known actions, against the target and, if wished, the online encoder; correlation.
-    fn controllable(&mut self, readings: &Readings<'_>, config: &LearnedConfig, means: &mut RunningMeans, first: bool) {
+    fn controllable(
+        &mut self,
+        readings: &Readings<'_>,
+        config: &LearnedConfig,
+        means: &mut RunningMeans,
+        first: bool,
+    ) {
         let (n, w, delta) = (readings.target.len(), &config.weights, config.delta_px as f32);
         let responses = &readings.drawn.responses;
         let differences: Vec<Place> = (0..n).map(|k| second(triple(readings, k, C))).collect();
@@ -321,7 +326,9 @@ impl LearnedLoss {
             let e = differences[k];
             let last = sub(t[2], readings.target[from + k][U]);
             let e_target = [e[0] - last[0], e[1] - last[1]];
-            let cauchy = |e: Place| (0.5 * kernel::ln(1.0 + square(e) / (scale * scale)), 1.0 / (scale * scale + square(e)));
+            let cauchy = |e: Place| {
+                (0.5 * kernel::ln(1.0 + square(e) / (scale * scale)), 1.0 / (scale * scale + square(e)))
+            };
             let ((value, slope), (value_t, slope_t)) = (cauchy(e), cauchy(e_target));
             self.value += online * value + target * value_t;
             for axis in 0..2 {

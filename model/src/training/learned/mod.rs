@@ -19,13 +19,15 @@ use indicatif::ProgressBar;
 use rayon::prelude::*;
 
 use crate::encoder::votes::network::Scratch;
-use crate::encoder::votes::{Activations, BODIES, VoteEncoder, VoteGradient, VoteWeights, Votes, VotesGradient};
+use crate::encoder::votes::{
+    Activations, BODIES, VoteEncoder, VoteGradient, VoteWeights, Votes, VotesGradient,
+};
 use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::mlp::Mlp;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
 use crate::training::learned::batch::{Drawn, PIXELS, normal};
-pub use crate::world_model::learned::LearnedConfig;
 use crate::training::learned::loss::{GAIN_NET, GainNet, Phase, Readings, RunningMeans};
+pub use crate::world_model::learned::LearnedConfig;
 use crate::world_model::recording::Recording;
 
 /// File of the state from which `--resume` continues.
@@ -51,7 +53,9 @@ pub enum LearnedError {
     #[error("the world model has the encoder `{0}`, which no recording adapts: start from `learned`")]
     NotLearned(&'static str),
     /// Too few episodes.
-    #[error("the recording has {found} episodes, and learned.encoder.held_out = {held_out} of them are not trained on")]
+    #[error(
+        "the recording has {found} episodes, and learned.encoder.held_out = {held_out} of them are not trained on"
+    )]
     Episodes {
         /// Episodes there.
         found: usize,
@@ -217,7 +221,8 @@ impl Workspace {
 
     /// The gradient by the weights, of all pictures.
     fn backward(&mut self, online: &VoteEncoder, drawn: &Drawn, by: &[VotesGradient]) -> VoteWeights {
-        let pictures = self.slots.par_chunks_mut(CHUNK).zip(by.par_chunks(CHUNK)).zip(drawn.flips.par_chunks(CHUNK));
+        let pictures =
+            self.slots.par_chunks_mut(CHUNK).zip(by.par_chunks(CHUNK)).zip(drawn.flips.par_chunks(CHUNK));
         pictures.zip(&mut self.chunks).for_each(|(((slots, by), flips), (gradient, scratch))| {
             gradient.clear();
             for ((slot, by), flip) in slots.iter_mut().zip(by).zip(flips) {

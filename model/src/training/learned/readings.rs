@@ -5,12 +5,12 @@ use crpl_sitl::camera::SIDE;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-use crate::world_model::sight::{LearnedSight, plane_of_px};
 use crate::encoder::votes::noise::{ReadingNoise, SpreadSample};
 use crate::encoder::votes::{BODIES, VoteEncoder, VoteWeights, Votes};
 use crate::numeric::tensors::TensorError;
 use crate::predictor::linear::{self, Half, Linear, Plane, Window};
 use crate::world_model::recording::Recording;
+use crate::world_model::sight::{LearnedSight, plane_of_px};
 
 /// Largest σ of a reading from which predictors and heads learn, px.
 const GOOD_PX: f64 = 0.6;
@@ -140,7 +140,8 @@ pub fn predictor(
                         let y = plane_of_px(v.p[body], scale);
                         planes[body] * Vector2::new(f64::from(y[0]), f64::from(y[1]))
                     });
-                    let a = if body == 0 { episode.response(k, lag).map(f64::from) } else { Vector2::zeros() };
+                    let a =
+                        if body == 0 { episode.response(k, lag).map(f64::from) } else { Vector2::zeros() };
                     out.push((half, a));
                 }
             }
@@ -209,7 +210,9 @@ pub fn head_samples(
         let Some(station) = episode.base_station else { continue };
         for k in 1..votes.len() {
             let both = |v: &Votes| is_good(noise, v, 0) && is_good(noise, v, 1);
-            let (Some(gain_db), true) = (episode.gain_db(k), both(&votes[k]) && both(&votes[k - 1])) else { continue };
+            let (Some(gain_db), true) = (episode.gain_db(k), both(&votes[k]) && both(&votes[k - 1])) else {
+                continue;
+            };
             let distance_px = apart(&votes[k]).min(apart(&votes[k - 1]));
             let contact = episode.steps[k].contact;
             out.push(HeadSample { p: votes[k].p, station, gain_db, distance_px, contact });

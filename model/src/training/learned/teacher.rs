@@ -65,7 +65,8 @@ mod tests {
 
     fn seen(obstacles: [[f64; 2]; 3], own: [f32; 2]) -> Option<[f32; 2]> {
         let uavs = [[0.2, 0.2], [0.3, 0.2], [0.4, 0.2]];
-        let frame = |k: usize| render(Vector2::from(uavs[k]), Vector2::from(obstacles[k]), &Scenario::default());
+        let frame =
+            |k: usize| render(Vector2::from(uavs[k]), Vector2::from(obstacles[k]), &Scenario::default());
         let frames = [frame(0), frame(1), frame(2)];
         moved([&frames[0], &frames[1], &frames[2]], own, &TeacherConfig::default())
     }
