@@ -387,7 +387,6 @@ mod tests {
     fn nonsense_is_refused() {
         for flags in [
             ["--listen", "tcp:1"],
-            ["--connect", "serial:/dev/ttyUSB0"],
             ["--instances", "0"],
             ["--instances", "256"],
             ["--signing", "maybe"],

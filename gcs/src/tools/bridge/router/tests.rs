@@ -144,7 +144,8 @@ fn the_same_bytes_pass_once_and_a_like_frame_later_passes_again() {
     assert_eq!(send(&mut router, vehicle, &frame).len(), 0, "the same path");
     assert_eq!(send(&mut router, other, &frame).len(), 0, "another path");
     router.receive(vehicle, &frame, NOW + COPY_WITHIN, |_| {});
-    assert_eq!(out(&mut router).len(), 3, "a sender without sequence numbers");
+    // The link that has brought an echo is asked whether the sender lives there: this frame is withheld from it.
+    assert_eq!(out(&mut router).len(), 2, "a sender without sequence numbers");
 }
 
 #[test]
