@@ -9,6 +9,6 @@ fn main() {
     }
     let cameras: Vec<CameraConfig> = config.cameras.iter().map(|(n, _)| CameraConfig::named(n).unwrap()).collect();
     let start = std::time::Instant::now();
-    collect(&config, &cameras, &crpl_sitl::Scenario::default(), args[3].parse().unwrap(), std::path::Path::new(&args[1]), || {}).unwrap();
+    collect(&config, &cameras, &crpl_sitl::Scenario::default(), args[3].parse().unwrap(), (std::path::Path::new(&args[1]), Default::default()), || {}).unwrap();
     println!("{:.1} s", start.elapsed().as_secs_f64());
 }

@@ -8,6 +8,7 @@ pub mod checkpoint;
 pub mod config;
 pub mod dataset;
 pub mod exploration;
+pub mod picture_folder;
 pub mod recording;
 pub mod stages;
 

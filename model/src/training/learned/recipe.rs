@@ -32,7 +32,7 @@ use crate::world_model::card::{Card, FitCheck, LearnedCheck};
 use crate::world_model::checkpoint::{CARD, FORMAT};
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use crate::world_model::exploration;
-use crate::world_model::recording::Recording;
+use crate::world_model::recording::{Recording, RecordingFormat};
 use crate::world_model::{WorldModel, plane};
 
 /// File of the encoder among the finished stages.
@@ -98,7 +98,8 @@ fn record(
     let exploration = &part.recording;
     let bar = progress::bar("recording", exploration.episodes as u64);
     let cameras = cameras(exploration)?;
-    exploration::collect(exploration, &cameras, scenario, config.seed, dir, || bar.inc(1))?;
+    let place = (dir, RecordingFormat::default());
+    exploration::collect(exploration, &cameras, scenario, config.seed, place, || bar.inc(1))?;
     bar.finish();
     Ok(std::fs::write(&done, "").map_err(TensorError::file(&done))?)
 }
