@@ -14,8 +14,8 @@ use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::RecordingFormat;
 use crpl_sitl::Scenario;
-use crpl_sitl::program::{progress, terminal};
 use crpl_sitl::program::timing::Stopwatch;
+use crpl_sitl::program::{progress, terminal};
 
 /// Train and evaluate CRPL's world model.
 #[derive(Debug, Parser)]
@@ -117,7 +117,10 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
     if let Some(part) = &config.learned {
         return record(&config, part, &args.out, args.format);
     }
-    anyhow::ensure!(args.format == RecordingFormat::default(), "--format png: the configuration has no [learned]");
+    anyhow::ensure!(
+        args.format == RecordingFormat::default(),
+        "--format png: the configuration has no [learned]"
+    );
     let episodes = recipe::collect(&config, &Scenario::default());
     crpl_model::world_model::dataset::save(&episodes, &args.out)?;
     let path = args.out.join("config.toml");
@@ -140,8 +143,7 @@ fn record(
     exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, place, || bar.inc(1))?;
     bar.finish();
     let path = out.join("config.toml");
-    std::fs::write(&path, toml::to_string(config)?)
-        .with_context(|| format!("writing {}", path.display()))?;
+    std::fs::write(&path, toml::to_string(config)?).with_context(|| format!("writing {}", path.display()))?;
     let ExplorationConfig { episodes, pictures, .. } = part.recording;
     println!("{episodes} episodes of {pictures} pictures in {}", out.display());
     Ok(())

@@ -11,6 +11,7 @@ pub mod optimise;
 pub mod parquet;
 pub mod policies;
 pub mod random;
+pub mod record;
 pub mod report;
 pub mod run_folder;
 pub mod sensitivity;

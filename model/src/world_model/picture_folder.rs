@@ -190,7 +190,10 @@ fn rows<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Row<'a>>, TensorError> 
     let mut lines = text.lines().enumerate().map(|(n, line)| (n + 1, fields(line)));
     let header = lines.next().map(|(_, fields)| fields).unwrap_or_default();
     if header != COLUMNS {
-        return Err(wrong(path, format!("line 1 is `{}`, expected `{}`", header.join(","), COLUMNS.join(","))));
+        return Err(wrong(
+            path,
+            format!("line 1 is `{}`, expected `{}`", header.join(","), COLUMNS.join(",")),
+        ));
     }
     let lines: Vec<_> = lines.collect();
     let count = lines.len();
@@ -330,6 +333,9 @@ mod tests {
         assert!(read_picture(&dir, 1).unwrap_err().to_string().contains("00001.png: decoding the frame"));
         std::fs::remove_file(picture_path(&dir, 1)).unwrap();
         let said = FolderEpisode::load(&dir).unwrap_err().to_string();
-        assert!(said.contains("00001.png: is missing, and ") && said.ends_with("has a line for it"), "{said}");
+        assert!(
+            said.contains("00001.png: is missing, and ") && said.ends_with("has a line for it"),
+            "{said}"
+        );
     }
 }

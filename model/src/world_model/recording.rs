@@ -118,7 +118,11 @@ impl RecordedEpisode {
         self.check(&path)?;
         std::fs::create_dir_all(dir).map_err(TensorError::file(dir))?;
         let mut out = Writer::default();
-        out.u8("frames", &[n, SIDE, SIDE, CHANNELS], self.frames.iter().flat_map(|f| f.rgb().iter().copied()));
+        out.u8(
+            "frames",
+            &[n, SIDE, SIDE, CHANNELS],
+            self.frames.iter().flat_map(|f| f.rgb().iter().copied()),
+        );
         out.f32("actions", &[n - 1, 2], self.actions.iter().flat_map(|a| [a.x, a.y]));
         out.f32("snr_db", &[n], self.steps.iter().map(|s| s.snr_db));
         out.f32("power", &[n], self.steps.iter().map(|s| s.power));
@@ -152,8 +156,7 @@ impl RecordedEpisode {
     fn check(&self, path: &Path) -> Result<(), TensorError> {
         let n = self.frames.len();
         if n < 3 || self.actions.len() + 1 != n || self.steps.len() != n {
-            let message =
-                format!("{n} pictures, {} actions, {} steps", self.actions.len(), self.steps.len());
+            let message = format!("{n} pictures, {} actions, {} steps", self.actions.len(), self.steps.len());
             return Err(TensorError::Format { path: path.into(), message });
         }
         Ok(())
@@ -448,13 +451,16 @@ mod tests {
         assert!(said(dir.path()).contains("format is ``, expected `crpl-recording/1`"));
         let mut short = episode();
         short.actions.pop();
-        assert!(short.save(dir.path(), 3).unwrap_err().to_string().contains("6 pictures, 4 actions, 6 steps"));
+        assert!(
+            short.save(dir.path(), 3).unwrap_err().to_string().contains("6 pictures, 4 actions, 6 steps")
+        );
     }
 
     #[test]
     fn the_truth_lies_apart() {
         let dir = tempfile::tempdir().unwrap();
-        let truth = Truth { uav: vec![Vector2::new(0.25, 0.5); 3], obstacle: vec![Vector2::new(0.75, 0.125); 3] };
+        let truth =
+            Truth { uav: vec![Vector2::new(0.25, 0.5); 3], obstacle: vec![Vector2::new(0.75, 0.125); 3] };
         truth.save(dir.path(), 2).unwrap();
         assert_eq!(Truth::load(dir.path(), 2).unwrap(), truth);
         assert!(Recording::open(dir.path(), None).is_err());

@@ -26,8 +26,8 @@ use crate::training::cache::{self, StageCache};
 use crate::training::heads::{self as head_training, Samples};
 use crate::training::learned::readings::{self, HeadSample};
 use crate::training::learned::{self, load_encoder, save_encoder};
+use crate::training::predictors;
 use crate::training::recipe::{REJECTED, Run, TrainError, in_words, networks};
-use crate::training::{predictors};
 use crate::world_model::card::{Card, FitCheck, LearnedCheck};
 use crate::world_model::checkpoint::{CARD, FORMAT};
 use crate::world_model::config::{LearnedTraining, TrainConfig};
@@ -192,7 +192,8 @@ fn finish(
             cache.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
         predictors::publish(&trained, &dir)?;
     }
-    let card = crate::training::recipe::card_text(&model, &diagnostics, &alarms, crate::revision(), run.stopwatch);
+    let card =
+        crate::training::recipe::card_text(&model, &diagnostics, &alarms, crate::revision(), run.stopwatch);
     tensors::write_all(&dir.join(CARD), card.as_bytes())?;
     if !alarms.is_empty() {
         return Ok(Err(TrainError::Alarms { alarms: in_words(&alarms), dir }));
