@@ -233,10 +233,11 @@ mod tests {
         assert_eq!(Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap(), scenario);
         let picture = scenario.camera.ground.file.clone().unwrap();
         assert_eq!(picture.problem(), None);
-        let [red, green, blue] = picture.planes();
-        let mean = |plane: &[f32]| plane.iter().sum::<f32>() / plane.len() as f32;
-        assert!(mean(&green) > mean(&red) && mean(&red) > mean(&blue), "a forest");
-        assert!(green.iter().all(|value| (0.0..=1.0).contains(value)));
+        // What Pillow gives for the mean of the same file.
+        for (plane, mean) in picture.planes().iter().zip([0.530, 0.596, 0.555]) {
+            let found = plane.iter().sum::<f32>() / plane.len() as f32;
+            assert!((found - mean).abs() < 0.005, "{found} {mean}");
+        }
     }
 
     #[test]
