@@ -14,12 +14,11 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, optimise, policies, report, sensitivity, tune};
+use crpl_gcs::lab::{bound, check, episodes, optimise, policies, record, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
-use crpl_sitl::Scenario;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -40,6 +39,8 @@ enum GcsCommand {
     Demo(Demo),
     /// Fly an already running vehicle
     Fly(Fly),
+    /// Fly exploratory actions on a running vehicle and record pictures to learn from
+    Record(record::RecordFlags),
     /// Fly many seeds in process and print means with confidence intervals
     Episodes(episodes::Episodes),
     /// Optimise CRPL's two policies for a scenario (Algorithm 1)
@@ -259,18 +260,8 @@ async fn fly(args: Fly) -> Result<()> {
             (None, scenario)
         }
         None => {
-            // What is wrong with the file is said before anybody is asked.
-            let camera = &args.camera;
-            let stated = args.scenario.as_deref().map(|name| camera.scenario(name)).transpose()?;
-            camera.put(&mut Scenario::default())?;
-            tracing::info!(controller = %args.controller, "connecting to {}", args.connect);
-            let mut session = options.find(&args.connect).await?;
-            let mut scenario = world::agree(&mut session, stated).await?;
-            if camera.camera.is_some() {
-                camera.put(&mut scenario)?;
-                scenario = world::agree(&mut session, Some(scenario)).await?;
-            }
-            (Some(session), scenario)
+            let met = world::meet(&options, &args.connect, args.scenario.as_deref(), &args.camera).await?;
+            (Some(met.0), met.1)
         }
     };
     if policies::cover(&mut models, &[args.controller], &scenario, args.models.optimise)?
@@ -329,6 +320,7 @@ fn main() -> ExitCode {
     terminal::main(crpl_gcs::revision(), |args: GcsArgs| match args.command {
         GcsCommand::Demo(args) => terminal::block_on(demo(args)),
         GcsCommand::Fly(args) => terminal::block_on(fly(args)),
+        GcsCommand::Record(args) => terminal::block_on(record::run(args)),
         GcsCommand::Bridge(args) => terminal::block_on(bridge::run(args)),
         GcsCommand::Link(args) => terminal::block_on(link::run(args)),
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),

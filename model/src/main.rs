@@ -1,6 +1,6 @@
 //! `model`: makes the training data and the world model, and measures it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -12,7 +12,7 @@ use crpl_model::training::{ablation_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
-use crpl_model::world_model::recording::Recording;
+use crpl_model::world_model::recording::{Recording, RecordingFormat};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::program::{progress, terminal};
@@ -54,6 +54,9 @@ struct Collect {
     /// Folder for episodes.safetensors and config.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// How a recording's pictures are stored
+    #[arg(long, value_enum, default_value = "safetensors")]
+    format: RecordingFormat,
 }
 
 #[derive(Debug, clap::Args)]
@@ -134,8 +137,12 @@ fn main() -> ExitCode {
 fn collect(args: &Collect) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     if let Some(part) = &config.learned {
-        return record(&config, part, &args.out);
+        return record(&config, part, &args.out, args.format);
     }
+    anyhow::ensure!(
+        args.format == RecordingFormat::default(),
+        "--format png: the configuration has no [learned]"
+    );
     let episodes = recipe::collect(&config, &Scenario::default());
     crpl_model::world_model::dataset::save(&episodes, &args.out)?;
     let path = args.out.join("config.toml");
@@ -151,10 +158,16 @@ fn collect(args: &Collect) -> anyhow::Result<()> {
 }
 
 /// Exploratory flights as a recording.
-fn record(config: &TrainConfig, part: &LearnedTraining, out: &std::path::Path) -> anyhow::Result<()> {
+fn record(
+    config: &TrainConfig,
+    part: &LearnedTraining,
+    out: &Path,
+    format: RecordingFormat,
+) -> anyhow::Result<()> {
     let cameras = learned::recipe::cameras(&part.recording)?;
     let bar = progress::bar("recording", part.recording.episodes as u64);
-    exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, out, || bar.inc(1))?;
+    let place = (out, format);
+    exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, place, || bar.inc(1))?;
     bar.finish();
     let path = out.join("config.toml");
     std::fs::write(&path, toml::to_string(config)?).with_context(|| format!("writing {}", path.display()))?;

@@ -10,7 +10,7 @@ use crpl_model::evaluation::hard::{self, HardReport, HardRow};
 use crpl_model::training::learned::{self, LearnedConfig};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
-use crpl_model::world_model::recording::{Recording, TRUTH};
+use crpl_model::world_model::recording::{Recording, RecordingFormat, TRUTH};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::CameraConfig;
 use crpl_sitl::world::noise::Noise;
@@ -21,7 +21,15 @@ fn record(dir: &Path) {
     let config = ExplorationConfig { episodes: 6, pictures: 30, ..ExplorationConfig::default() };
     let cameras: Vec<CameraConfig> =
         config.cameras.iter().map(|(name, _)| CameraConfig::named(name).unwrap()).collect();
-    exploration::collect(&config, &cameras, &Scenario::default(), 3, dir, || ()).unwrap();
+    exploration::collect(
+        &config,
+        &cameras,
+        &Scenario::default(),
+        3,
+        (dir, RecordingFormat::default()),
+        || (),
+    )
+    .unwrap();
 }
 
 fn small(steps: usize) -> LearnedConfig {

@@ -1,6 +1,8 @@
 //! One frame through the learned encoder beside ONNX Runtime on the same exported weights, one thread each, in one
 //! run: three rounds in turn.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark")]
+
 use std::hint::black_box;
 use std::time::Instant;
 

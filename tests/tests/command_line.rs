@@ -51,8 +51,8 @@ fn versions_name_the_revision() {
 /// Help that a terminal of 80 columns shows without breaking its lines, and each default once.
 #[test]
 fn help_fits_80_columns() {
-    let gcs = "demo fly episodes optimise check sweep merge report bridge link param mission replay sitl";
-    let model = "collect train predictors ablate robustness evaluate";
+    let gcs = "demo fly record episodes optimise check sweep merge report bridge link param mission replay sitl tlog key";
+    let model = "collect train predictors adapt ablate robustness evaluate";
     let commands = [("sitl", ""), ("gcs", gcs), ("model", model)];
     for (name, subcommands) in commands {
         for sub in

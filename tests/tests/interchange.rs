@@ -23,7 +23,7 @@ fn so_they_do_behind_a_colour_layer() {
     let mut model = WorldModel::embedded().unwrap();
     let mut weights = model.encoder.centroid().expect("the shipped encoder").weights().clone();
     weights.input.colour = Some(Colour { w: [[1.0, -0.03, -0.04], [0.06, -0.03, 1.0]], b: [-0.1, -0.08] });
-    model.encoder = FrameEncoder::Centroid(crpl_model::encoder::infer::Encoder::new(weights));
+    model.encoder = FrameEncoder::Centroid(Box::new(crpl_model::encoder::infer::Encoder::new(weights)));
     agrees(&model);
 }
 

@@ -148,7 +148,6 @@ fn a_bridge_speaks_first_to_a_vehicle_that_waits_and_not_as_a_station() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_vehicle_on_a_serial_line_is_heard_and_spoken_to() {
-
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
     let near = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();

@@ -10,7 +10,7 @@
 //!
 //! | a flight ends | the vehicle is left |
 //! |---|---|
-//! | after its last tick, or in a fall | as its last command has it |
+//! | after its last tick, when its crew is done, or in a fall | as its last command has it |
 //! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for four times |
 //! | because an operator changed its mode | to the operator |
 //! | because another station's setpoint is flown | to the other station: no more setpoints from here |
@@ -150,6 +150,12 @@ pub trait Crew {
 
     /// The command is on its way: there is time to write.
     fn sent(&mut self) {}
+
+    /// Whether the flight is over with the newest percept, before [`Options::ticks`]: the command to it is not
+    /// sent.
+    fn is_done(&self) -> bool {
+        false
+    }
 }
 
 impl<F: FnMut(&Percept) -> Command> Crew for F {
@@ -314,6 +320,9 @@ pub async fn fly_on(
                             return Ok(shell.over(percept).await);
                         }
                         let command = crew.command(&percept);
+                        if crew.is_done() {
+                            return Ok(shell.over(percept).await);
+                        }
                         shell.sent.insert(command.tick, command.accel);
                         shell.powers.push_back(command.power);
                         shell.powers.drain(..shell.powers.len().saturating_sub(POWERS));

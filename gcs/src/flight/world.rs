@@ -2,15 +2,41 @@
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
+use crpl_sitl::link::endpoint::Endpoint;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::scenario::presets::PRESETS;
 use crpl_sitl::vehicle::params::{world_of, world_params};
 
+use crate::flight::Options;
 use crate::tools::param::exchange::List;
 use crate::tools::param::value::Encoding;
 use crate::tools::session::Session;
 
 /// How many contradictions an error names.
 const SHOWN: usize = 3;
+
+/// Finds the vehicle and reads its world; `scenario` and `camera`, where they are given, must not contradict it.
+///
+/// # Errors
+/// No such scenario or camera, no vehicle, or as [`agree`].
+pub async fn meet(
+    options: &Options,
+    connect: &Endpoint,
+    scenario: Option<&str>,
+    camera: &CameraFlag,
+) -> Result<(Session, Scenario)> {
+    // What is wrong with the file is said before anybody is asked.
+    let stated = scenario.map(|name| camera.scenario(name)).transpose()?;
+    camera.put(&mut Scenario::default())?;
+    tracing::info!("connecting to {connect}");
+    let mut session = options.find(connect).await?;
+    let mut scenario = agree(&mut session, stated).await?;
+    if camera.camera.is_some() {
+        camera.put(&mut scenario)?;
+        scenario = agree(&mut session, Some(scenario)).await?;
+    }
+    Ok((session, scenario))
+}
 
 /// Reads the vehicle's world and gives the scenario to fly: the vehicle's own, under the name of the preset that it
 /// is; or `stated`, which must not contradict it.

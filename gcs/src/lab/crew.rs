@@ -48,21 +48,24 @@ impl LoggedStation {
         if let Some(last) = &flight.last {
             self.station.finish(last);
         }
-        let ended = FlightEnded {
-            how: flight.ended,
-            tick: flight.last.as_ref().map(|last| last.telemetry.tick.0),
-            why: flight.why.clone(),
-        };
+        let ended = FlightEnded::of(flight);
         let summary = Summary::of(self.controller, self.seed, &self.station, flight, ended.clone());
         let dir = self.folder.dir().to_path_buf();
         let failed = self.folder.finish(ended, summary.clone(), self.station.records());
         let failed = failed.or_else(|| flight.log_error.clone());
-        let exit = match (flight.ended.exit_code(), failed) {
-            (Some(code), _) => Some(ExitWith { code, why: flight.why.clone() }),
-            (None, Some(why)) => Some(ExitWith { code: NOT_WRITTEN, why }),
-            (None, None) => None,
-        };
+        let exit = exit_of(flight, failed);
         Landed { summary, dir, exit }
+    }
+}
+
+/// With what a program ends after this flight, of whose results something may have `failed` to be written; `None`:
+/// success.
+#[must_use]
+pub fn exit_of(flight: &Flight, failed: Option<String>) -> Option<ExitWith> {
+    match (flight.ended.exit_code(), failed) {
+        (Some(code), _) => Some(ExitWith { code, why: flight.why.clone() }),
+        (None, Some(why)) => Some(ExitWith { code: NOT_WRITTEN, why }),
+        (None, None) => None,
     }
 }
 

@@ -10,6 +10,7 @@ pub mod figures;
 pub mod optimise;
 pub mod policies;
 pub mod random;
+pub mod record;
 pub mod report;
 pub mod run_folder;
 pub mod sensitivity;

@@ -22,6 +22,15 @@ pub struct FlightEnded {
     pub why: String,
 }
 
+impl FlightEnded {
+    /// The end of a flight.
+    #[must_use]
+    pub fn of(flight: &Flight) -> Self {
+        let tick = flight.last.as_ref().map(|last| last.telemetry.tick.0);
+        Self { how: flight.ended, tick, why: flight.why.clone() }
+    }
+}
+
 /// One flight in numbers.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {

@@ -361,7 +361,7 @@ fn assemble(
     let card = Card { format: FORMAT.into(), config: context.config.clone(), ..Card::default() };
     let scale = context.config.encoder.scale;
     let predictor = Predictor::Linear(linear.controllable(&plane(&plane_c)));
-    let encoder = FrameEncoder::Centroid(encoder);
+    let encoder = FrameEncoder::Centroid(Box::new(encoder));
     WorldModel { encoder, plane_c, plane_u, scale, linear, predictor, heads, probe, card }
 }
 

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::numeric::tensors::TensorError;
 use crate::world_model::dataset::{EDGE_BAND, OBSTACLE_SPEED, START_SPEED, direction};
-use crate::world_model::recording::{RecordedEpisode, Step, Truth};
+use crate::world_model::recording::{RecordedEpisode, RecordingFormat, Step, Truth};
 
 /// What is recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -76,7 +76,7 @@ impl Explorer {
     /// For a vehicle of this scenario.
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
-        Self { a_max: scenario.dynamics.a_max, scale: scenario.scale.clone() }
+        Self { a_max: scenario.dynamics.a_max, scale: scenario.scale }
     }
 
     /// The next acceleration, share of a_max.
@@ -99,7 +99,7 @@ impl Explorer {
     }
 }
 
-/// Records all episodes into `dir`; `done` is called after each.
+/// Records all episodes into a folder, in a format; `done` is called after each.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -108,12 +108,12 @@ pub fn collect(
     cameras: &[CameraConfig],
     scenario: &Scenario,
     seed: u64,
-    dir: &Path,
+    (dir, format): (&Path, RecordingFormat),
     done: impl Fn() + Sync,
 ) -> Result<(), TensorError> {
     (0..config.episodes).into_par_iter().try_for_each(|index| {
         let (episode, truth) = record(config, cameras, scenario, seed, index as u64);
-        episode.save(dir, index)?;
+        episode.save_as(format, dir, index)?;
         truth.save(dir, index)?;
         done();
         Ok(())

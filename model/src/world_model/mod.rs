@@ -9,6 +9,7 @@ pub mod config;
 pub mod dataset;
 pub mod exploration;
 pub mod learned;
+pub mod picture_folder;
 pub mod recording;
 pub mod sight;
 pub mod stages;

@@ -15,8 +15,9 @@
 //!
 //! and in its metadata `format` = `crpl-recording/1`, `a_max` in sides of the picture per interval², and, where it is
 //! known, `base_station` = `x,y` in sides of the picture.
-//! Instead of such a file an episode may be a folder `episode-00000` with `a_max.txt`, `steps.csv` (columns
-//! `frame,time_s,action_x,action_y,snr_db,power,outage,contact`) and pictures `00000.png` and so on, 100x100 RGB.
+//! Instead of such a file an episode may be a folder `episode-00000` with pictures `00000.png` and so on, 100x100
+//! RGB, `steps.csv` (columns `frame,time_s,action_x,action_y,snr_db,power,outage,contact`), `a_max.txt`, and
+//! `base_station.txt` where it is known: [`crate::world_model::picture_folder`].
 //!
 //! Where the true positions are known they are in `truth/episode-00000.safetensors` (`uav`, `obstacle` f64
 //! `[n, 2]`, picture sides). Evaluation alone opens that folder.
@@ -30,6 +31,9 @@ use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
 use nalgebra::Vector2;
 
 use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
+use crate::world_model::picture_folder::{self, FolderEpisode};
+
+pub use crate::world_model::picture_folder::Step;
 
 /// What the metadata's `format` must say.
 pub const RECORDING_FORMAT: &str = "crpl-recording/1";
@@ -43,22 +47,40 @@ const PICTURE: usize = SIDE * SIDE * CHANNELS;
 /// Name of an episode's file.
 #[must_use]
 pub fn episode_name(index: usize) -> String {
-    format!("episode-{index:05}.safetensors")
+    format!("{}.safetensors", folder_name(index))
 }
 
-/// What one interval of a recording holds besides its picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
-    /// Time stamp, s.
-    pub time_s: f64,
-    /// SNR, dB; NaN where none was measured.
-    pub snr_db: f32,
-    /// Transmit power.
-    pub power: f32,
-    /// Whether the interval before was an outage.
-    pub outage: bool,
-    /// Whether the UAV touched the obstacle in the interval before.
-    pub contact: bool,
+/// Name of an episode's folder.
+fn folder_name(index: usize) -> String {
+    format!("episode-{index:05}")
+}
+
+/// The files and folders of the episodes in a folder, in the order of their names.
+///
+/// # Errors
+/// If the folder cannot be read.
+pub fn episode_paths(dir: &Path) -> Result<Vec<PathBuf>, TensorError> {
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(TensorError::file(dir))? {
+        let path = entry.map_err(TensorError::file(dir))?.path();
+        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        let Some(name) = name.strip_prefix("episode-") else { continue };
+        if name.ends_with(".safetensors") || (!name.contains('.') && path.is_dir()) {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+/// How the pictures of an episode are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum RecordingFormat {
+    /// One safetensors file an episode
+    #[default]
+    Safetensors,
+    /// A folder an episode: PNG pictures and steps.csv
+    Png,
 }
 
 /// One episode in memory.
@@ -93,10 +115,7 @@ impl RecordedEpisode {
     pub fn save(&self, dir: &Path, index: usize) -> Result<(), TensorError> {
         let path = dir.join(episode_name(index));
         let n = self.frames.len();
-        if n < 3 || self.actions.len() + 1 != n || self.steps.len() != n {
-            let message = format!("{n} pictures, {} actions, {} steps", self.actions.len(), self.steps.len());
-            return Err(TensorError::Format { path, message });
-        }
+        self.check(&path)?;
         std::fs::create_dir_all(dir).map_err(TensorError::file(dir))?;
         let mut out = Writer::default();
         out.u8(
@@ -118,6 +137,29 @@ impl RecordedEpisode {
             about.insert("base_station".to_owned(), format!("{},{}", s.x, s.y));
         }
         write_all(&path, &out.bytes_about(Some(about))?)
+    }
+
+    /// Writes the episode in a format.
+    ///
+    /// # Errors
+    /// As [`RecordedEpisode::save`].
+    pub fn save_as(&self, format: RecordingFormat, dir: &Path, index: usize) -> Result<(), TensorError> {
+        if format == RecordingFormat::Safetensors {
+            return self.save(dir, index);
+        }
+        let path = dir.join(folder_name(index));
+        self.check(&path)?;
+        let Self { frames, actions, steps, a_max, base_station } = self.clone();
+        FolderEpisode { actions, steps, a_max, base_station }.save(&frames, &path)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), TensorError> {
+        let n = self.frames.len();
+        if n < 3 || self.actions.len() + 1 != n || self.steps.len() != n {
+            let message = format!("{n} pictures, {} actions, {} steps", self.actions.len(), self.steps.len());
+            return Err(TensorError::Format { path: path.into(), message });
+        }
+        Ok(())
     }
 }
 
@@ -164,8 +206,8 @@ pub struct Recording {
 #[derive(Debug)]
 pub struct EpisodeIndex {
     path: PathBuf,
-    /// Where the pictures begin in the file.
-    begin: u64,
+    /// Where the pictures begin in the file; `None` in a folder of pictures.
+    begin: Option<u64>,
     /// Accelerations flown, share of a_max.
     pub actions: Vec<Vector2<f32>>,
     /// Radio and time at each picture.
@@ -192,10 +234,11 @@ impl EpisodeIndex {
     /// # Errors
     /// If the file cannot be read.
     pub fn frame(&self, k: usize) -> Result<Frame, TensorError> {
+        let Some(begin) = self.begin else { return picture_folder::read_picture(&self.path, k) };
         let mut bytes = vec![0; PICTURE];
         let read = |bytes: &mut [u8]| {
             let mut file = File::open(&self.path)?;
-            file.seek(SeekFrom::Start(self.begin + (k * PICTURE) as u64))?;
+            file.seek(SeekFrom::Start(begin + (k * PICTURE) as u64))?;
             file.read_exact(bytes)
         };
         read(&mut bytes).map_err(TensorError::file(&self.path))?;
@@ -225,20 +268,12 @@ impl Recording {
     /// # Errors
     /// If there is no episode, or one is not what it should be: the error names the file and what is wrong.
     pub fn open(dir: &Path, limit: Option<usize>) -> Result<Self, TensorError> {
-        let mut paths = Vec::new();
-        for entry in std::fs::read_dir(dir).map_err(TensorError::file(dir))? {
-            let path = entry.map_err(TensorError::file(dir))?.path();
-            let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
-            if name.starts_with("episode-") && name.ends_with(".safetensors") {
-                paths.push(path);
-            }
-        }
-        paths.sort();
+        let mut paths = episode_paths(dir)?;
         paths.truncate(limit.unwrap_or(usize::MAX));
         let mut episodes = Vec::with_capacity(paths.len());
         let mut a_max = None;
         for path in paths {
-            let (episode, own) = read_episode(&path)?;
+            let (episode, own) = if path.is_dir() { read_folder(&path)? } else { read_episode(&path)? };
             if *a_max.get_or_insert(own) != own {
                 let message = format!("a_max is {own}, in the episodes before it another");
                 return Err(TensorError::Format { path, message });
@@ -248,7 +283,7 @@ impl Recording {
         match a_max {
             Some(a_max) => Ok(Self { episodes, a_max }),
             None => {
-                let message = "no episode-*.safetensors is there".into();
+                let message = "no episode-*.safetensors is there, and no folder episode-*".into();
                 Err(TensorError::Format { path: dir.into(), message })
             }
         }
@@ -274,6 +309,12 @@ impl Recording {
     }
 }
 
+/// An episode in a folder of pictures.
+fn read_folder(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
+    let FolderEpisode { actions, steps, a_max, base_station } = FolderEpisode::load(path)?;
+    Ok((EpisodeIndex { path: path.into(), begin: None, actions, steps, base_station }, a_max))
+}
+
 /// An episode's small tensors and the place of its pictures.
 fn read_episode(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
     let wrong = |message: String| TensorError::Format { path: path.into(), message };
@@ -291,11 +332,8 @@ fn read_episode(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
     let base_station = match about.get("base_station") {
         None => None,
         Some(text) => {
-            let place = text
-                .split_once(',')
-                .and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
-            let (x, y) = place.ok_or_else(|| wrong(format!("base_station is `{text}`, expected `x,y`")))?;
-            Some(Vector2::<f64>::new(x, y))
+            let told = || wrong(format!("base_station is `{text}`, expected `x,y`"));
+            Some(picture_folder::place(text).ok_or_else(told)?)
         }
     };
     let n = from.shape("frames")?.first().copied().unwrap_or(0);
@@ -316,7 +354,7 @@ fn read_episode(path: &Path) -> Result<(EpisodeIndex, f64), TensorError> {
     };
     let actions = actions.chunks_exact(2).map(|a| Vector2::new(a[0], a[1])).collect();
     let steps = (0..n).map(step).collect();
-    Ok((EpisodeIndex { path: path.into(), begin: begin as u64, actions, steps, base_station }, a_max))
+    Ok((EpisodeIndex { path: path.into(), begin: Some(begin as u64), actions, steps, base_station }, a_max))
 }
 
 #[cfg(test)]
@@ -363,6 +401,25 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_of_pictures_and_a_file_of_tensors_are_the_same_episode() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut wanted = episode();
+        wanted.steps[4].snr_db = 1.0 / 3.0;
+        for (index, format) in [RecordingFormat::Png, RecordingFormat::Safetensors].into_iter().enumerate() {
+            wanted.save_as(format, dir.path(), index).unwrap();
+            wanted.save_as(format, dir.path(), index).unwrap();
+        }
+        let read = Recording::open(dir.path(), None).unwrap();
+        assert_eq!((read.episodes().len(), read.a_max), (2, wanted.a_max));
+        for episode in read.episodes() {
+            assert_eq!((&episode.actions, &episode.steps), (&wanted.actions, &wanted.steps));
+            assert_eq!(episode.base_station, wanted.base_station);
+            let frames: Vec<Frame> = (0..episode.len()).map(|k| episode.frame(k).unwrap()).collect();
+            assert_eq!(frames, wanted.frames);
+        }
+    }
+
+    #[test]
     fn the_response_is_what_the_actions_add_to_a_second_difference() {
         let dir = tempfile::tempdir().unwrap();
         episode().save(dir.path(), 0).unwrap();
@@ -384,7 +441,7 @@ mod tests {
     fn what_is_no_recording_is_refused_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let said = |dir: &Path| Recording::open(dir, None).unwrap_err().to_string();
-        assert!(said(dir.path()).ends_with("no episode-*.safetensors is there"));
+        assert!(said(dir.path()).ends_with("no episode-*.safetensors is there, and no folder episode-*"));
         let path = dir.path().join(episode_name(3));
         std::fs::write(&path, b"hello").unwrap();
         assert!(said(dir.path()).contains("episode-00003.safetensors: not a safetensors file"));

@@ -19,9 +19,9 @@ pub type LatentPlanes = [[[f32; 2]; LATENT]; BODIES];
 #[derive(Debug, Clone)]
 pub enum FrameEncoder {
     /// Hand-set kernels that carry centroids of colours, with heads in closed form: for the clean drawing.
-    Centroid(Encoder),
+    Centroid(Box<Encoder>),
     /// Trained end to end from random weights on recorded pictures.
-    Learned(LearnedSight),
+    Learned(Box<LearnedSight>),
 }
 
 /// The learned encoder and what it knows of its own errors.
@@ -133,9 +133,9 @@ impl Stored for FrameEncoder {
     fn put(&self, out: &mut Writer) {
         match self {
             Self::Centroid(encoder) => encoder.weights().put(out),
-            Self::Learned(LearnedSight { encoder, noise }) => {
-                encoder.weights().put(out);
-                noise.put(out);
+            Self::Learned(sight) => {
+                sight.encoder.weights().put(out);
+                sight.noise.put(out);
             }
         }
     }
@@ -143,9 +143,9 @@ impl Stored for FrameEncoder {
     fn get(from: &Reader<'_>) -> Result<Self, TensorError> {
         if from.has("votes.vote.weight") {
             let encoder = VoteEncoder::new(VoteWeights::get(from)?);
-            Ok(Self::Learned(LearnedSight { encoder, noise: ReadingNoise::get(from)? }))
+            Ok(Self::Learned(Box::new(LearnedSight { encoder, noise: ReadingNoise::get(from)? })))
         } else {
-            Ok(Self::Centroid(Encoder::new(Weights::get(from)?)))
+            Ok(Self::Centroid(Box::new(Encoder::new(Weights::get(from)?))))
         }
     }
 }

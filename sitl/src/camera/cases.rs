@@ -76,7 +76,7 @@ const TEXTURE: &str = family!("[ground]\nkind = \"procedural\"\n");
 use Placement::{Anywhere, Cut, Over, Whole};
 
 /// All cameras with a name, as the rows of an evaluation. The vehicle's parameter `CAM_PRESET` is the index.
-pub const CASES: [CameraCase; 25] = [
+pub const CASES: [CameraCase; 26] = [
     case("clean", "discs on black", Whole, ""),
     case(
         "hard",
@@ -126,6 +126,12 @@ pub const CASES: [CameraCase; 25] = [
         "textured ground, 2 distractors",
         Whole,
         family!("distractors = { count = 2 }\n[ground]\nkind = \"procedural\"\n"),
+    ),
+    case(
+        "photo",
+        "an aerial photograph as ground",
+        Whole,
+        family!("[ground]\nkind = \"file\"\nfile = \"shipped:photo\"\n"),
     ),
 ];
 

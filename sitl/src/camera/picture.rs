@@ -1,11 +1,12 @@
 //! A picture file as ground: PNG or JPEG, its middle square scaled to the size of the ground.
 //!
 //! The file is read when the configuration is; a scenario whose picture cannot be read is refused by its
-//! check, and a record of a flight stays readable where the picture is not.
+//! check, and a record of a flight stays readable where the picture is not. The path `shipped:photo` is an aerial
+//! photograph that is compiled in (its source and licence: `presets/grounds/photo.LICENSE`).
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use serde::{Deserialize, Serialize};
 
@@ -14,12 +15,26 @@ use super::frame::{CHANNELS, WIDE};
 /// Largest decoded picture, bytes.
 const LIMIT: usize = 1 << 28;
 
+/// Path of the photograph that is compiled in.
+const SHIPPED: &str = "shipped:photo";
+
+/// Red, green and blue of a ground, or why there are none.
+type Planes = Result<Arc<[Vec<f32>; CHANNELS]>, PictureError>;
+
+/// The photograph that is compiled in.
+static PHOTO: LazyLock<Planes> =
+    LazyLock::new(|| ground_of(include_bytes!("../../presets/grounds/photo.jpg")));
+
+fn ground_of(bytes: &[u8]) -> Planes {
+    Ok(Arc::new(decode(bytes)?.scaled()))
+}
+
 /// A picture file and, if it could be read, what is in it. In a configuration it is its path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "PathBuf", into = "PathBuf")]
 pub struct Picture {
     path: PathBuf,
-    planes: Result<Arc<[Vec<f32>; CHANNELS]>, PictureError>,
+    planes: Planes,
 }
 
 /// Why a picture cannot be used.
@@ -38,9 +53,11 @@ pub enum PictureError {
 
 impl From<PathBuf> for Picture {
     fn from(path: PathBuf) -> Self {
+        if path == Path::new(SHIPPED) {
+            return Self { path, planes: PHOTO.clone() };
+        }
         let read = std::fs::read(&path).map_err(|error| PictureError::Read(error.to_string()));
-        let planes = read.and_then(|bytes| Ok(Arc::new(decode(&bytes)?.scaled())));
-        Self { path, planes }
+        Self { path, planes: read.and_then(|bytes| ground_of(&bytes)) }
     }
 }
 
@@ -207,6 +224,20 @@ mod tests {
         let [left, right] = [frame.pixel(5, 90), frame.pixel(95, 90)];
         assert!(right[0] > left[0] + 120 && left[1] > 120 && left[2] < 100, "{left:?} {right:?}");
         assert!(frame.pixel(35, 35)[2] > 180);
+    }
+
+    #[test]
+    fn the_shipped_photograph_is_a_ground_in_any_folder() {
+        let mut scenario = Scenario::default();
+        scenario.film_with("photo").unwrap();
+        assert_eq!(Scenario::from_toml(&toml::to_string(&scenario).unwrap()).unwrap(), scenario);
+        let picture = scenario.camera.ground.file.clone().unwrap();
+        assert_eq!(picture.problem(), None);
+        // What Pillow gives for the mean of the same file.
+        for (plane, mean) in picture.planes().iter().zip([0.530, 0.596, 0.555]) {
+            let found = plane.iter().sum::<f32>() / plane.len() as f32;
+            assert!((found - mean).abs() < 0.005, "{found} {mean}");
+        }
     }
 
     #[test]

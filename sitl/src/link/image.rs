@@ -68,6 +68,15 @@ pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> 
 /// # Errors
 /// The bytes are no PNG, or none of a frame's size with a tick in it.
 pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
+    let (tick, frame) = picture_from_png(bytes)?;
+    Ok((tick.ok_or(ImageError::NoTick)?, frame))
+}
+
+/// The frame in a PNG of anybody's, and its tick if it names one.
+///
+/// # Errors
+/// The bytes are no PNG, or none of a frame's size.
+pub fn picture_from_png(bytes: &[u8]) -> Result<(Option<Tick>, Frame), ImageError> {
     let failed = |error: png::DecodingError| ImageError::Png(error.to_string());
     let limits = png::Limits { bytes: 4 << 20 };
     let mut reader =
@@ -80,12 +89,12 @@ pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
         return Err(ImageError::Format(format));
     }
     let texts = info.uncompressed_latin1_text.iter();
-    let tick = texts.filter(|t| t.keyword == KEYWORD).find_map(|t| t.text.parse().ok());
+    let tick = texts.filter(|t| t.keyword == KEYWORD).find_map(|t| t.text.parse().ok()).map(Tick);
     let mut pixels = vec![0; SIDE * SIDE * 3];
     reader.next_frame(&mut pixels).map_err(failed)?;
     reader.finish().map_err(failed)?;
     let frame = Frame::from_rgb(pixels).ok_or_else(|| ImageError::Format("cut short".into()))?;
-    Ok((Tick(tick.ok_or(ImageError::NoTick)?), frame))
+    Ok((tick, frame))
 }
 
 /// What a DATA_TRANSMISSION_HANDSHAKE asks of a vehicle.

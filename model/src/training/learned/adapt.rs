@@ -63,6 +63,7 @@ pub fn adapt(
     let noise = readings::noise(&readings, recording, recording.episodes().len() - config.held_out.max(1));
     let explained =
         readings::explained(&readings, recording, recording.episodes().len() - config.held_out.max(1));
-    model.encoder = FrameEncoder::Learned(LearnedSight { encoder: VoteEncoder::new(weights), noise });
+    model.encoder =
+        FrameEncoder::Learned(Box::new(LearnedSight { encoder: VoteEncoder::new(weights), noise }));
     Ok(Adapted { model, explained })
 }

@@ -251,7 +251,7 @@ mod tests {
         let sample = |n: usize| {
             let distance_px = n as f64 * 0.05;
             // A few are told wrongly, on both sides.
-            let contact = (distance_px < 12.0) != (n % 41 == 0);
+            let contact = (distance_px < 12.0) != n.is_multiple_of(41);
             HeadSample { p: [[0.0; 2]; 2], station: Vector2::zeros(), gain_db: 0.0, distance_px, contact }
         };
         let samples: Vec<HeadSample> = (0..1000).map(sample).collect();

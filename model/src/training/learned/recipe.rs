@@ -31,7 +31,7 @@ use crate::world_model::card::{Card, FitCheck, LearnedCheck};
 use crate::world_model::checkpoint::{CARD, FORMAT};
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use crate::world_model::exploration;
-use crate::world_model::recording::Recording;
+use crate::world_model::recording::{Recording, RecordingFormat};
 use crate::world_model::sight::{FrameEncoder, LearnedSight, plane_of_px};
 use crate::world_model::{WorldModel, plane};
 
@@ -98,7 +98,8 @@ fn record(
     let exploration = &part.recording;
     let bar = progress::bar("recording", exploration.episodes as u64);
     let cameras = cameras(exploration)?;
-    exploration::collect(exploration, &cameras, scenario, config.seed, dir, || bar.inc(1))?;
+    let place = (dir, RecordingFormat::default());
+    exploration::collect(exploration, &cameras, scenario, config.seed, place, || bar.inc(1))?;
     bar.finish();
     Ok(std::fs::write(&done, "").map_err(TensorError::file(&done))?)
 }
@@ -147,14 +148,14 @@ fn finish(
     let heads = cache.keep::<_, TrainError>(
         "heads",
         |dir| cache::load_one(dir, HEADS),
-        || Ok(train_heads(config, &samples, touch, &probe, &scenario, run)?),
+        || train_heads(config, &samples, touch, &probe, &scenario, run),
         |heads: &Heads, dir| cache::save_one(heads, dir, HEADS),
     )?;
 
     let [plane_c, plane_u] = planes;
     let sight = LearnedSight { encoder: VoteEncoder::new(weights.clone()), noise: reading_noise };
     let mut model = WorldModel {
-        encoder: FrameEncoder::Learned(sight),
+        encoder: FrameEncoder::Learned(Box::new(sight)),
         plane_c,
         plane_u,
         scale,
