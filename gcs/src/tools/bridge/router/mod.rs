@@ -3,7 +3,7 @@
 //! The rules, for a frame of system S and component C that comes in on link L:
 //!
 //! 1. It never goes back to L, nor to a link on which S/C itself was heard a moment ago: no loops. A copy
-//!    tells where S/C lives, too ([`history`]).
+//!    tells where S/C lives, too (`history.rs`).
 //! 2. The same bytes a second time, on any link, are dropped: redundant paths give one copy.
 //! 3. A message without target, or for system 0, goes to every other link.
 //! 4. One for a system goes where that component was heard; if it was heard nowhere, where its system
