@@ -178,9 +178,10 @@ impl Writer {
         for (name, dtype, shape, bytes) in &self.tensors {
             views.push((name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).map_err(wrong)?));
         }
-        let sorted = metadata.as_ref().map(|about| about.iter().collect::<BTreeMap<_, _>>());
+        let sorted = |about: &HashMap<_, _>| serde_json::to_string(&about.iter().collect::<BTreeMap<_, _>>());
+        let sorted = metadata.as_ref().map(sorted);
         let mut bytes = safetensors::serialize(views, metadata).map_err(wrong)?;
-        if let Some(Ok(text)) = sorted.map(|about| serde_json::to_string(&about)) {
+        if let Some(Ok(text)) = sorted {
             put_metadata(&mut bytes, &text);
         }
         Ok(bytes)
