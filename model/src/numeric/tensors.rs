@@ -2,7 +2,7 @@
 //!
 //! Knows names, shapes and bytes, not the meaning of the numbers.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use crpl_sitl::program::files::write_whole;
@@ -178,7 +178,25 @@ impl Writer {
         for (name, dtype, shape, bytes) in &self.tensors {
             views.push((name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).map_err(wrong)?));
         }
-        safetensors::serialize(views, metadata).map_err(wrong)
+        let sorted = |about: &HashMap<_, _>| serde_json::to_string(&about.iter().collect::<BTreeMap<_, _>>());
+        let sorted = metadata.as_ref().map(sorted);
+        let mut bytes = safetensors::serialize(views, metadata).map_err(wrong)?;
+        if let Some(Ok(text)) = sorted {
+            put_metadata(&mut bytes, &text);
+        }
+        Ok(bytes)
+    }
+}
+
+/// Puts the same metadata in another order: the crate writes it in the order of a hash map, so equal values would
+/// give files that differ.
+fn put_metadata(bytes: &mut [u8], text: &str) {
+    const KEY: &[u8] = b"{\"__metadata__\":";
+    let place = 8 + KEY.len()..8 + KEY.len() + text.len();
+    if bytes.get(8..place.start) == Some(KEY)
+        && let Some(there) = bytes.get_mut(place)
+    {
+        there.copy_from_slice(text.as_bytes());
     }
 }
 

@@ -420,6 +420,17 @@ mod tests {
     }
 
     #[test]
+    fn equal_episodes_are_equal_files() {
+        let dir = tempfile::tempdir().unwrap();
+        for index in 0..8 {
+            episode().save(dir.path(), index).unwrap();
+        }
+        let bytes = |index| std::fs::read(dir.path().join(episode_name(index))).unwrap();
+        assert!((1..8).all(|index| bytes(index) == bytes(0)));
+        assert_eq!(Recording::open(dir.path(), None).unwrap().a_max, episode().a_max);
+    }
+
+    #[test]
     fn the_response_is_what_the_actions_add_to_a_second_difference() {
         let dir = tempfile::tempdir().unwrap();
         episode().save(dir.path(), 0).unwrap();
