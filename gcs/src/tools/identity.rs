@@ -10,7 +10,7 @@ use crpl_sitl::link::{COMPANION, STATION_COMPONENT, STATION_SYSTEM};
 
 /// What a program is on the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-pub enum Role {
+pub enum StationRole {
     /// Ground station: system 255, component 190
     #[default]
     Gcs,
@@ -23,7 +23,7 @@ pub enum Role {
 pub struct Identity {
     /// Speak as a ground station, or as a companion computer on board, which never counts as a station
     #[arg(long, value_enum, default_value = "gcs")]
-    pub role: Role,
+    pub role: StationRole,
     /// System id to speak as [default: 255; of a companion, the vehicle's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     pub source_system: Option<u8>,
@@ -37,8 +37,8 @@ impl Identity {
     #[must_use]
     pub fn encoder(&self, vehicle: u8) -> Encoder {
         let (system, component) = match self.role {
-            Role::Gcs => (STATION_SYSTEM, STATION_COMPONENT),
-            Role::Companion => (vehicle, COMPANION),
+            StationRole::Gcs => (STATION_SYSTEM, STATION_COMPONENT),
+            StationRole::Companion => (vehicle, COMPANION),
         };
         Encoder::new(self.source_system.unwrap_or(system), self.source_component.unwrap_or(component))
     }
@@ -46,8 +46,8 @@ impl Identity {
     /// Appends a heartbeat of this program.
     pub fn push_heartbeat(&self, encoder: &mut Encoder, datagram: &mut Vec<u8>) {
         let mavtype = match self.role {
-            Role::Gcs => MavType::MAV_TYPE_GCS,
-            Role::Companion => MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+            StationRole::Gcs => MavType::MAV_TYPE_GCS,
+            StationRole::Companion => MavType::MAV_TYPE_ONBOARD_CONTROLLER,
         };
         let message = dialect::HEARTBEAT_DATA {
             custom_mode: 0,

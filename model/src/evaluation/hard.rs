@@ -67,7 +67,7 @@ pub struct HardReport {
 }
 
 /// One picture's outcome.
-struct Look {
+struct ReadPicture {
     errors: [Vector2<f64>; 2],
     truth: [Vector2<f64>; 2],
     z: [[f32; LATENT]; 2],
@@ -115,7 +115,7 @@ fn looks(
     count: usize,
     scenario: &Scenario,
     noise: &Noise,
-) -> Vec<Look> {
+) -> Vec<ReadPicture> {
     let films = count.div_ceil(PER_CAMERA);
     let looks = (0..films).into_par_iter().flat_map_iter(|film| {
         let mut rng = noise.generator(Stream::Evaluation, (1 << 40) | ((n as u64) << 20) | film as u64);
@@ -142,7 +142,7 @@ fn looks(
                 let truth = [uav + shake, obstacle + shake];
                 let errors = [model.uav(&latent) - truth[0], model.obstacle(&latent) - truth[1]];
                 let px = SIDE as f64;
-                Look { errors: errors.map(|e| e * px), truth, z: [latent.z_c, latent.z_u] }
+                ReadPicture { errors: errors.map(|e| e * px), truth, z: [latent.z_c, latent.z_u] }
             })
             .collect::<Vec<_>>()
     });
@@ -168,7 +168,7 @@ fn place(placement: Placement, radius: f64, scenario: &Scenario, rng: &mut impl 
     }
 }
 
-fn row(case: &str, about: &str, looks: &[Look]) -> HardRow {
+fn row(case: &str, about: &str, looks: &[ReadPicture]) -> HardRow {
     let l1 = |body: usize| looks.iter().map(|l| l.errors[body].abs().sum()).collect::<Vec<f64>>();
     let (c, u) = (l1(0), l1(1));
     let share = |lost: &dyn Fn(usize) -> bool| {

@@ -1,6 +1,6 @@
 //! Convolutions of dense pictures: forward, and both gradients.
 //!
-//! Channel-last grids with a border of zeros, so no cell needs a check. One loop does all: a [`Sweep`] adds
+//! Channel-last grids with a border of zeros, so no cell needs a check. One loop does all: a [`ConvSweep`] adds
 //! to each cell of one grid a linear map of cells around it in another. A convolution is a sweep; the gradient
 //! of its input is one too (with a stride of 2, one for each of four phases). Outputs stand in blocks of
 //! [`WIDTH`]; each sum runs in one fixed order with fused multiply-adds, so results do not depend on the
@@ -22,7 +22,7 @@ type Block = [f32; WIDTH];
 
 /// A square grid of cells, each with `channels` values, and a border of zeros around it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Grid {
+pub struct CellGrid {
     /// Cells along each side.
     pub side: usize,
     /// Cells of the border, on each side.
@@ -31,7 +31,7 @@ pub struct Grid {
     pub channels: usize,
 }
 
-impl Grid {
+impl CellGrid {
     /// A grid of zeros.
     #[must_use]
     pub fn zeros(&self) -> Vec<f32> {
@@ -71,11 +71,11 @@ pub struct Tap {
 
 /// Which cells are summed into which.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Sweep {
+pub struct ConvSweep {
     /// The grid that is read.
-    pub from: Grid,
+    pub from: CellGrid,
     /// The grid that is added to; its channels are a multiple of [`WIDTH`], at most three of them.
-    pub to: Grid,
+    pub to: CellGrid,
     /// The terms.
     pub taps: Vec<Tap>,
     /// Values of a tap.
@@ -90,11 +90,11 @@ pub struct Sweep {
     pub first: [usize; 2],
 }
 
-impl Sweep {
+impl ConvSweep {
     /// A convolution: square `kernel`, equal stride, dilation and zero padding (the grid's border must hold it) on
     /// both axes. Weights are `[kernel²][inputs][outputs]`.
     #[must_use]
-    pub fn convolution(from: Grid, to: Grid, kernel: usize, stride: usize, dilation: usize) -> Self {
+    pub fn convolution(from: CellGrid, to: CellGrid, kernel: usize, stride: usize, dilation: usize) -> Self {
         let reach = (kernel / 2 * dilation) as isize;
         let at = |k: usize| (k * dilation) as isize - reach;
         let taps =
@@ -106,7 +106,7 @@ impl Sweep {
     /// The same with a row of the kernel as one tap, for few channels: its cells are neighbours in memory. Weights
     /// are `[kernel][kernel inputs][outputs]`, which is the same order. Dilation 1.
     #[must_use]
-    pub fn by_rows(from: Grid, to: Grid, kernel: usize, stride: usize) -> Self {
+    pub fn by_rows(from: CellGrid, to: CellGrid, kernel: usize, stride: usize) -> Self {
         let reach = (kernel / 2) as isize;
         let taps = (0..kernel).map(|n| Tap { dy: n as isize - reach, dx: -reach, weight: n }).collect();
         let sweep = Self::convolution(from, to, kernel, stride, 1);
@@ -116,7 +116,7 @@ impl Sweep {
     /// The sweeps that take the gradient of this convolution's output to that of its input: one, or four with a
     /// stride of 2. Weights are `[kernel²][outputs][inputs]`: each tap's transposed.
     #[must_use]
-    pub fn transposed(&self, from: Grid, to: Grid) -> Vec<Self> {
+    pub fn transposed(&self, from: CellGrid, to: CellGrid) -> Vec<Self> {
         let stride = self.from_stride as isize;
         let phases =
             (0..self.from_stride * self.from_stride).map(|n| [n / self.from_stride, n % self.from_stride]);
@@ -154,8 +154,8 @@ impl Sweep {
         }
     }
 
-    /// Adds to `dw` the gradient of the weights: `x` as [`Sweep::add`] read it, `dy` the gradient of what it
-    /// added to. For sweeps of [`Sweep::convolution`] and [`Sweep::by_rows`].
+    /// Adds to `dw` the gradient of the weights: `x` as [`ConvSweep::add`] read it, `dy` the gradient of what it
+    /// added to. For sweeps of [`ConvSweep::convolution`] and [`ConvSweep::by_rows`].
     pub fn add_weights(&self, x: &[f32], dy: &[f32], dw: &mut [f32]) {
         match self.to.channels / WIDTH {
             1 => weights_one(self, x, dy, dw),
@@ -186,7 +186,7 @@ macro_rules! widths {
             "x86_64+avx2+fma",
             "aarch64+neon"
         ))]
-        fn $sweep(sweep: &Sweep, x: &[f32], w: &[f32], y: &mut [f32]) {
+        fn $sweep(sweep: &ConvSweep, x: &[f32], w: &[f32], y: &mut [f32]) {
             sweep_blocks::<$blocks>(sweep, x, w, y);
         }
 
@@ -195,7 +195,7 @@ macro_rules! widths {
             "x86_64+avx2+fma",
             "aarch64+neon"
         ))]
-        fn $weights(sweep: &Sweep, x: &[f32], dy: &[f32], dw: &mut [f32]) {
+        fn $weights(sweep: &ConvSweep, x: &[f32], dy: &[f32], dw: &mut [f32]) {
             weights_blocks::<$blocks>(sweep, x, dy, dw);
         }
     };
@@ -206,7 +206,7 @@ widths!(sweep_two, weights_two, 2);
 widths!(sweep_three, weights_three, 3);
 
 #[inline(always)]
-fn sweep_blocks<const B: usize>(sweep: &Sweep, x: &[f32], w: &[f32], y: &mut [f32]) {
+fn sweep_blocks<const B: usize>(sweep: &ConvSweep, x: &[f32], w: &[f32], y: &mut [f32]) {
     for cy in 0..sweep.cells {
         let mut cx = 0;
         while cx + TILE <= sweep.cells {
@@ -223,7 +223,7 @@ fn sweep_blocks<const B: usize>(sweep: &Sweep, x: &[f32], w: &[f32], y: &mut [f3
 /// `T` neighbouring cells of a row.
 #[inline(always)]
 fn tile<const B: usize, const T: usize>(
-    sweep: &Sweep,
+    sweep: &ConvSweep,
     cy: usize,
     cx: usize,
     x: &[f32],
@@ -268,7 +268,7 @@ fn multiply_add(v: f32, w: &Block, sum: &mut Block) {
 }
 
 #[inline(always)]
-fn weights_blocks<const B: usize>(sweep: &Sweep, x: &[f32], dy: &[f32], dw: &mut [f32]) {
+fn weights_blocks<const B: usize>(sweep: &ConvSweep, x: &[f32], dy: &[f32], dw: &mut [f32]) {
     let inputs = sweep.inputs;
     for tap in &sweep.taps {
         let dw = &mut dw[tap.weight * inputs * B * WIDTH..][..inputs * B * WIDTH];
@@ -287,7 +287,7 @@ fn weights_blocks<const B: usize>(sweep: &Sweep, x: &[f32], dy: &[f32], dw: &mut
 /// The gradient of one tap's weights of `I` inputs from `first` on.
 #[inline(always)]
 fn some_weights<const B: usize, const I: usize>(
-    sweep: &Sweep,
+    sweep: &ConvSweep,
     tap: &Tap,
     first: usize,
     x: &[f32],
@@ -323,7 +323,7 @@ mod tests {
         ((n * 7919 + 104_729) % 1009) as f32 / 1009.0 - 0.5
     }
 
-    fn filled(grid: Grid, seed: usize) -> Vec<f32> {
+    fn filled(grid: CellGrid, seed: usize) -> Vec<f32> {
         let mut x = grid.zeros();
         for (n, row) in grid.rows().enumerate() {
             x[row].iter_mut().enumerate().for_each(|(k, x)| *x = value(seed + n * 1013 + k));
@@ -332,8 +332,8 @@ mod tests {
     }
 
     /// Every kind of layer that the encoder has, small: grids, kernel, stride, dilation.
-    fn layers() -> [(Grid, Grid, usize, usize, usize); 4] {
-        let grid = |side, border, channels| Grid { side, border, channels };
+    fn layers() -> [(CellGrid, CellGrid, usize, usize, usize); 4] {
+        let grid = |side, border, channels| CellGrid { side, border, channels };
         [
             (grid(12, 2, 3), grid(6, 1, 16), 5, 2, 1),
             (grid(12, 1, 16), grid(6, 1, 32), 3, 2, 1),
@@ -343,7 +343,7 @@ mod tests {
     }
 
     /// y by the definition, no vectors and no borders.
-    fn plainly(x: &[f32], w: &[f32], layer: (Grid, Grid, usize, usize, usize)) -> Vec<f32> {
+    fn plainly(x: &[f32], w: &[f32], layer: (CellGrid, CellGrid, usize, usize, usize)) -> Vec<f32> {
         let (from, to, kernel, stride, dilation) = layer;
         let mut y = to.zeros();
         let inside = |v: isize| (0..from.side as isize).contains(&v);
@@ -366,11 +366,13 @@ mod tests {
         y
     }
 
-    fn sweep_of((from, to, kernel, stride, dilation): (Grid, Grid, usize, usize, usize)) -> Sweep {
+    fn sweep_of(
+        (from, to, kernel, stride, dilation): (CellGrid, CellGrid, usize, usize, usize),
+    ) -> ConvSweep {
         if from.channels == 3 {
-            Sweep::by_rows(from, to, kernel, stride)
+            ConvSweep::by_rows(from, to, kernel, stride)
         } else {
-            Sweep::convolution(from, to, kernel, stride, dilation)
+            ConvSweep::convolution(from, to, kernel, stride, dilation)
         }
     }
 

@@ -176,7 +176,7 @@ pub fn place(text: &str) -> Option<Vector2<f64>> {
 }
 
 /// A line of the table with as many fields as it has columns.
-struct Row<'a> {
+struct StepRow<'a> {
     path: &'a Path,
     /// Its number in the file, from 1.
     line: usize,
@@ -185,7 +185,7 @@ struct Row<'a> {
 }
 
 /// The lines after the header.
-fn rows<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Row<'a>>, TensorError> {
+fn rows<'a>(path: &'a Path, text: &'a str) -> Result<Vec<StepRow<'a>>, TensorError> {
     let text = text.trim_start_matches('\u{feff}').trim_end();
     let mut lines = text.lines().enumerate().map(|(n, line)| (n + 1, fields(line)));
     let header = lines.next().map(|(_, fields)| fields).unwrap_or_default();
@@ -202,7 +202,7 @@ fn rows<'a>(path: &'a Path, text: &'a str) -> Result<Vec<Row<'a>>, TensorError> 
             let message = format!("line {line} has {} fields, expected {}", fields.len(), COLUMNS.len());
             return Err(wrong(path, message));
         }
-        Ok(Row { path, line, fields, is_last: n + 1 == count })
+        Ok(StepRow { path, line, fields, is_last: n + 1 == count })
     };
     lines.into_iter().enumerate().map(row).collect()
 }
@@ -211,7 +211,7 @@ fn fields(line: &str) -> Vec<&str> {
     line.split(',').map(str::trim).collect()
 }
 
-impl Row<'_> {
+impl StepRow<'_> {
     fn wrong(&self, column: usize, message: &str) -> TensorError {
         let (line, name, value) = (self.line, COLUMNS[column], self.fields[column]);
         wrong(self.path, format!("line {line}, column {name}: `{value}` {message}"))

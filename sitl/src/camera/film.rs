@@ -29,12 +29,12 @@ pub struct Film {
     config: CameraConfig,
     seed: u64,
     noise: Noise,
-    look: OnceLock<Arc<Look>>,
+    look: OnceLock<Arc<FilmLook>>,
 }
 
 /// What is drawn once for a flight.
 #[derive(Debug)]
-struct Look {
+struct FilmLook {
     colours: Colours,
     obstacle_scale: f64,
     ground: Option<Plane>,
@@ -129,8 +129,8 @@ impl Film {
         [uav, obstacle, obstacle_2]
     }
 
-    fn look(&self) -> &Look {
-        self.look.get_or_init(|| Arc::new(Look::draw(&self.config, &self.noise)))
+    fn look(&self) -> &FilmLook {
+        self.look.get_or_init(|| Arc::new(FilmLook::draw(&self.config, &self.noise)))
     }
 
     /// Ground and bodies, values from 0 to 1.
@@ -229,7 +229,7 @@ impl Sizes for Seen<'_> {
     }
 }
 
-impl Look {
+impl FilmLook {
     fn draw(config: &CameraConfig, noise: &Noise) -> Self {
         let rng = |what: Draw| noise.generator(Stream::Look, what as u64);
         let ground = config.ground.draw(&mut rng(Draw::Ground));
@@ -490,8 +490,8 @@ mod tests {
     #[test]
     fn half_of_the_flights_have_an_effect_and_seven_in_ten_a_ground() {
         let config = CameraConfig::case("hard").unwrap();
-        let looks: Vec<Look> = (0..400).map(|seed| Look::draw(&config, &Noise::new(seed))).collect();
-        let share = |has: fn(&Look) -> bool| looks.iter().filter(|look| has(look)).count() as f64 / 400.0;
+        let looks: Vec<FilmLook> = (0..400).map(|seed| FilmLook::draw(&config, &Noise::new(seed))).collect();
+        let share = |has: fn(&FilmLook) -> bool| looks.iter().filter(|look| has(look)).count() as f64 / 400.0;
         let halves =
             [share(|l| l.jpeg.is_some()), share(|l| l.blur > 0.0), share(|l| !l.distractors.is_empty())];
         assert!(halves.iter().all(|s| (s - 0.5).abs() < 0.08), "{halves:?}");

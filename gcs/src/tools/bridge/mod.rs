@@ -37,7 +37,8 @@ use spec::EndpointSpec;
 #[derive(Debug, Clone, clap::Args)]
 pub struct Bridge {
     /// Endpoint of the vehicle: udpout:HOST:PORT, udpin, udpbcast, tcpout, tcpin or serial:DEVICE:BAUD;
-    /// repeatable. Rules may follow: ENDPOINT?group=NAME&rate=BYTES&only=MESSAGES&drop=MESSAGES&only-from=...
+    /// repeatable. Rules may follow, as in ENDPOINT?group=NAME&rate=BYTES&only=MESSAGES: drop,
+    /// only-from and drop-from, too
     #[arg(long, value_name = "ENDPOINT", required = true)]
     connect: Vec<EndpointSpec>,
     /// Endpoints of the tools that share the vehicle, with rules if wanted; repeatable

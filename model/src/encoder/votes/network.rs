@@ -6,7 +6,7 @@ use crate::encoder::votes::BODIES;
 use crate::encoder::votes::readout::{self, Attention, CELLS, STRIDE, Votes, VotesGradient};
 use crate::encoder::votes::weights::{DEPTH, SIDES, TRUNK, VoteWeights};
 use crate::encoder::weights::{LEAK, Layer};
-use crate::numeric::conv::{Grid, Sweep, WIDTH};
+use crate::numeric::conv::{CellGrid, ConvSweep, WIDTH};
 
 /// Divisor of a byte: the network's input is byte/128.
 pub const INPUT_SCALE: f32 = 128.0;
@@ -25,8 +25,8 @@ struct PackedConv {
     b: Vec<f32>,
     /// `[k²][outputs][inputs]`, for the gradient of the input; none for the first layer.
     turned: Vec<f32>,
-    sweep: Sweep,
-    back: Vec<Sweep>,
+    sweep: ConvSweep,
+    back: Vec<ConvSweep>,
 }
 
 /// The grids of one frame, and what the backward pass needs of them. Reused from frame to frame.
@@ -56,9 +56,9 @@ pub struct VoteGradient {
     layers: [(Vec<f32>, Vec<f32>); DEPTH + 1],
 }
 
-/// Grid number `n`: 0 is the frame, then the trunk's outputs, last the maps. Its border is as wide as the layer
+/// CellGrid number `n`: 0 is the frame, then the trunk's outputs, last the maps. Its border is as wide as the layer
 /// that reads it needs, and the layer before it in the backward pass.
-fn grid(n: usize) -> Grid {
+fn grid(n: usize) -> CellGrid {
     let channels = if n == 0 {
         TRUNK[0].inputs
     } else if n <= DEPTH {
@@ -68,7 +68,7 @@ fn grid(n: usize) -> Grid {
     };
     let reach = |n: usize| TRUNK.get(n).map_or(0, |c| c.kernel / 2 * c.dilation);
     let before = if n == 0 { 0 } else { reach(n - 1) };
-    Grid { side: SIDES[n.min(DEPTH)], border: reach(n).max(before), channels }
+    CellGrid { side: SIDES[n.min(DEPTH)], border: reach(n).max(before), channels }
 }
 
 impl PackedConv {
@@ -76,9 +76,9 @@ impl PackedConv {
         let (from, to) = (grid(n), grid(n + 1));
         let (kernel, stride, dilation) = TRUNK.get(n).map_or((1, 1, 1), |c| (c.kernel, c.stride, c.dilation));
         let sweep = if n == 0 {
-            Sweep::by_rows(from, to, kernel, stride)
+            ConvSweep::by_rows(from, to, kernel, stride)
         } else {
-            Sweep::convolution(from, to, kernel, stride, dilation)
+            ConvSweep::convolution(from, to, kernel, stride, dilation)
         };
         let back = if n == 0 { Vec::new() } else { sweep.transposed(to, from) };
         let (outputs, inputs) = (layer.b.len(), from.channels);
@@ -212,7 +212,7 @@ impl VoteEncoder {
 }
 
 /// The border belongs to no cell.
-fn clear_border(x: &mut [f32], grid: Grid) {
+fn clear_border(x: &mut [f32], grid: CellGrid) {
     let mut end = 0;
     for row in grid.rows() {
         x[end..row.start].fill(0.0);

@@ -37,7 +37,7 @@ pub struct Flip {
 
 /// How the online encoder's view of a picture differs from the recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct PictureView {
     gains: [f32; CHANNELS],
     noise: f32,
     noise_seed: u64,
@@ -47,7 +47,7 @@ pub struct View {
 
 /// All of a step: the first pictures of all triples (long, then short), the second, the third.
 #[derive(Debug)]
-pub struct Drawn {
+pub struct DrawnPictures {
     /// Triples, long ones first.
     pub triples: Vec<PictureTriple>,
     /// Number of long triples.
@@ -57,7 +57,7 @@ pub struct Drawn {
     /// How each picture is mirrored.
     pub flips: Vec<Flip>,
     /// How each differs for the online encoder; `None` as recorded.
-    pub views: Vec<Option<View>>,
+    pub views: Vec<Option<PictureView>>,
     /// Px that the actions add to each triple's second difference.
     pub responses: Vec<[f32; 2]>,
     /// Measured gain at each picture, dB.
@@ -103,7 +103,7 @@ impl Flip {
     }
 }
 
-impl View {
+impl PictureView {
     /// One view for each picture of a triple: gains and noise are the triple's, the light each picture's.
     fn draw(config: &AugmentConfig, rng: &mut impl Rng) -> [Option<Self>; 3] {
         let on = rng.random::<f64>() < config.share;
@@ -172,7 +172,7 @@ pub fn draw(
     episodes: &[EpisodeIndex],
     config: &LearnedConfig,
     rng: &mut impl Rng,
-) -> Result<Drawn, TensorError> {
+) -> Result<DrawnPictures, TensorError> {
     let mut triples = Vec::with_capacity(2 * config.triples);
     for lags in [config.long, config.short] {
         triples.extend((0..config.triples).map(|_| triple(episodes, lags, rng)));
@@ -181,7 +181,8 @@ pub fn draw(
     let whole: Vec<Flip> = (0..n).map(|_| Flip::draw(rng)).collect();
     let own: Vec<Flip> = (0..3 * n).map(|_| Flip::draw(rng)).collect();
     let flips = if config.flip_pictures { own } else { [&whole[..], &whole, &whole].concat() };
-    let drawn: Vec<[Option<View>; 3]> = (0..n).map(|_| View::draw(&config.augment, rng)).collect();
+    let drawn: Vec<[Option<PictureView>; 3]> =
+        (0..n).map(|_| PictureView::draw(&config.augment, rng)).collect();
     let views = (0..3).flat_map(|m| drawn.iter().map(move |v| v[m])).collect();
     let px = (recording.a_max * SIDE as f64) as f32;
     let responses = triples
@@ -196,7 +197,7 @@ pub fn draw(
     // The gain's network knows one base station alone.
     let station = recording.usual_station();
     let gains_db = places.iter().map(|(e, k)| e.gain_db(*k).filter(|_| e.base_station == station)).collect();
-    Ok(Drawn { triples, long: config.triples, frames, flips, views, responses, gains_db })
+    Ok(DrawnPictures { triples, long: config.triples, frames, flips, views, responses, gains_db })
 }
 
 /// Standard normal deviates for start values.

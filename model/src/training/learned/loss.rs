@@ -10,7 +10,7 @@ use crate::encoder::votes::{BODIES, Votes, VotesGradient};
 use crate::numeric::adam::Adam;
 use crate::numeric::kernel;
 use crate::numeric::mlp::Mlp;
-use crate::training::learned::batch::Drawn;
+use crate::training::learned::batch::DrawnPictures;
 use crate::training::learned::teacher;
 use crate::world_model::learned::LearnedConfig;
 
@@ -94,7 +94,7 @@ pub struct Readings<'a> {
     /// The target's of the third pictures, `[n]`.
     pub target: &'a [[[f32; 2]; BODIES]],
     /// What was drawn.
-    pub drawn: &'a Drawn,
+    pub drawn: &'a DrawnPictures,
 }
 
 /// The gain's network and its gradient.
@@ -117,14 +117,14 @@ pub struct LearnedLoss {
 
 /// Where in the run a step is.
 #[derive(Debug, Clone, Copy)]
-pub struct Phase {
+pub struct TrainPhase {
     /// Number of the step.
     pub step: usize,
     /// Of so many.
     pub steps: usize,
 }
 
-impl Phase {
+impl TrainPhase {
     fn share(self) -> f32 {
         self.step as f32 / self.steps.max(1) as f32
     }
@@ -136,7 +136,7 @@ pub fn evaluate(
     readings: &Readings<'_>,
     gain: &mut GainNet<'_>,
     config: &LearnedConfig,
-    phase: Phase,
+    phase: TrainPhase,
     means: &mut RunningMeans,
 ) -> LearnedLoss {
     let mut loss =
@@ -253,7 +253,7 @@ impl LearnedLoss {
         &mut self,
         readings: &Readings<'_>,
         config: &LearnedConfig,
-        phase: Phase,
+        phase: TrainPhase,
         means: &mut RunningMeans,
         first: bool,
     ) {
@@ -292,7 +292,7 @@ impl LearnedLoss {
         &mut self,
         readings: &Readings<'_>,
         config: &LearnedConfig,
-        phase: Phase,
+        phase: TrainPhase,
         means: &mut RunningMeans,
         first: bool,
     ) {
@@ -395,7 +395,7 @@ impl LearnedLoss {
         &mut self,
         readings: &Readings<'_>,
         config: &LearnedConfig,
-        phase: Phase,
+        phase: TrainPhase,
         means: &mut RunningMeans,
         first: bool,
     ) {

@@ -25,8 +25,8 @@ use crate::encoder::votes::{
 use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::mlp::Mlp;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
-use crate::training::learned::batch::{Drawn, PIXELS, normal};
-use crate::training::learned::loss::{GAIN_NET, GainNet, Phase, Readings, RunningMeans};
+use crate::training::learned::batch::{DrawnPictures, PIXELS, normal};
+use crate::training::learned::loss::{GAIN_NET, GainNet, Readings, RunningMeans, TrainPhase};
 pub use crate::world_model::learned::LearnedConfig;
 use crate::world_model::recording::Recording;
 
@@ -139,7 +139,7 @@ pub fn train_watched(
         // The loss, its gradient by the readings and from there by the weights.
         let readings = Readings { online: &seen, target: &aim, drawn: &drawn };
         let mut gain = GainNet { net: &state.gain, gradient: Mlp::zeros(&GAIN_NET) };
-        let phase = Phase { step: state.step, steps: config.steps };
+        let phase = TrainPhase { step: state.step, steps: config.steps };
         let loss = loss::evaluate(&readings, &mut gain, config, phase, &mut state.means);
         let gradient = space.backward(&online, &drawn, &loss.gradients);
         let gain_gradient = gain.gradient;
@@ -191,7 +191,7 @@ impl Workspace {
     }
 
     /// The online encoder's readings of all pictures, in the recording's coordinates.
-    fn look(&mut self, online: &VoteEncoder, drawn: &Drawn) -> Vec<Votes> {
+    fn look(&mut self, online: &VoteEncoder, drawn: &DrawnPictures) -> Vec<Votes> {
         let each = self.slots.par_iter_mut().enumerate().map(|(k, Slot { activations, pixels })| {
             drawn.flips[k].pixels(&drawn.frames[k], pixels);
             if let Some(view) = &drawn.views[k] {
@@ -206,7 +206,7 @@ impl Workspace {
     }
 
     /// The target's places in the third pictures, in the recording's coordinates.
-    fn aim(&self, target: &VoteEncoder, drawn: &Drawn) -> Vec<[[f32; 2]; BODIES]> {
+    fn aim(&self, target: &VoteEncoder, drawn: &DrawnPictures) -> Vec<[[f32; 2]; BODIES]> {
         let n = drawn.triples.len();
         let each = (2 * n..3 * n).into_par_iter().map_init(
             || (Activations::default(), vec![0.0; PIXELS]),
@@ -220,7 +220,7 @@ impl Workspace {
     }
 
     /// The gradient by the weights, of all pictures.
-    fn backward(&mut self, online: &VoteEncoder, drawn: &Drawn, by: &[VotesGradient]) -> VoteWeights {
+    fn backward(&mut self, online: &VoteEncoder, drawn: &DrawnPictures, by: &[VotesGradient]) -> VoteWeights {
         let pictures =
             self.slots.par_chunks_mut(CHUNK).zip(by.par_chunks(CHUNK)).zip(drawn.flips.par_chunks(CHUNK));
         pictures.zip(&mut self.chunks).for_each(|(((slots, by), flips), (gradient, scratch))| {

@@ -33,14 +33,14 @@ impl Way {
 
 /// What a receiver has in a slot.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Budget {
+pub struct LinkBudget {
     /// Received power, dBm.
     pub rssi_dbm: f64,
     /// Noise, dBm.
     pub noise_dbm: f64,
 }
 
-impl Budget {
+impl LinkBudget {
     /// γ, dB.
     #[must_use]
     pub fn snr_db(&self) -> f64 {
@@ -99,7 +99,7 @@ impl AirChannel {
     /// What the receiver of a way has in a slot, with the vehicle at `place`: north, east and height above the
     /// ground, m.
     #[must_use]
-    pub fn budget(&self, way: Way, place: Vector3<f64>, slot: u64) -> Budget {
+    pub fn budget(&self, way: Way, place: Vector3<f64>, slot: u64) -> LinkBudget {
         let radio = &self.radio;
         let vehicle = place + Vector3::new(0.0, 0.0, radio.vehicle.height_m);
         let base = Vector2::from(radio.ground.place).push(radio.ground.height_m);
@@ -115,7 +115,7 @@ impl AirChannel {
         let loss = self.path_db(&ends, base, vehicle) + self.shadow_db(place);
         let fading = radio.fading.gain_db(elevation, &self.noise, mix([self.link, slot, 0, 0]));
         let rssi_dbm = from.power_dbm() - from.loss_db - to.loss_db + gains - loss + fading;
-        Budget { rssi_dbm, noise_dbm: to.noise_dbm(radio.bandwidth_hz) }
+        LinkBudget { rssi_dbm, noise_dbm: to.noise_dbm(radio.bandwidth_hz) }
     }
 
     fn shadow_db(&self, place: Vector3<f64>) -> f64 {

@@ -11,7 +11,7 @@ use std::time::Duration;
 use nalgebra::Vector3;
 use rand::RngExt;
 
-use super::channel::{AirChannel, Budget, Way, mix};
+use super::channel::{AirChannel, LinkBudget, Way, mix};
 use super::config::{AirRadio, Duplex, Modem, RadioError};
 use crate::units::noise::Stream;
 
@@ -83,7 +83,7 @@ impl<T> CarriedFrame<T> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AirReport {
     /// Received power and noise in the slot.
-    pub budget: Budget,
+    pub budget: LinkBudget,
     /// Free part of the sender's queue, in [0, 1].
     pub room: f64,
     /// Frames lost so far, for whatever reason.
@@ -120,7 +120,7 @@ struct Lane<T> {
     lost: VecDeque<CarriedFrame<T>>,
     last_arrival: Nanos,
     draws: KindDraws,
-    budget: Option<(Nanos, Vector3<f64>, Budget)>,
+    budget: Option<(Nanos, Vector3<f64>, LinkBudget)>,
     counts: [u64; 3],
 }
 
@@ -266,11 +266,11 @@ impl<T> Air<T> {
     }
 
     /// Received power and noise of a way at a time.
-    pub fn budget(&mut self, now: Duration, way: Way) -> Budget {
+    pub fn budget(&mut self, now: Duration, way: Way) -> LinkBudget {
         self.budget_at(nanos(now), way)
     }
 
-    fn budget_at(&mut self, now: Nanos, way: Way) -> Budget {
+    fn budget_at(&mut self, now: Nanos, way: Way) -> LinkBudget {
         let slot = now / self.slot;
         match self.lanes[way as usize].budget {
             Some((known, place, budget)) if known == slot && place == self.place => budget,
