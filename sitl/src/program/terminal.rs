@@ -9,6 +9,7 @@ use std::future::Future;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -31,8 +32,8 @@ pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> Ex
             let line = one_line(&error);
             complain(&format!("error: {line}"));
             let exit = error.downcast_ref::<ExitWith>();
-            // An end with a code of its own has told its results already.
-            if exit.is_none() && std::env::args().any(|arg| arg == "--json") {
+            // Who reads JSON reads one document: the results, if there were any, else the error.
+            if !TOLD.load(Ordering::Relaxed) && std::env::args().any(|arg| arg == "--json") {
                 say(&serde_json::json!({ "error": line }).to_string());
             }
             exit.map_or(ExitCode::FAILURE, |exit| exit.code.into())
@@ -40,9 +41,13 @@ pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> Ex
     }
 }
 
+/// Whether this program has printed a result.
+static TOLD: AtomicBool = AtomicBool::new(false);
+
 /// Prints a part of a result to stdout. A reader that has gone away ends the program quietly; a result that
 /// cannot be written, on a full disk for one, ends it with an error.
 pub fn print(text: std::fmt::Arguments<'_>) {
+    TOLD.store(true, Ordering::Relaxed);
     let mut stdout = std::io::stdout().lock();
     let Err(error) = stdout.write_fmt(text).and_then(|()| stdout.flush()) else { return };
     if error.kind() == std::io::ErrorKind::BrokenPipe {
