@@ -33,7 +33,7 @@ use crate::training::learned::{self, LearnedError};
 use crate::training::predictors::{self, Trained};
 use crate::world_model::card::{Card, FitCheck};
 use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
-use crate::world_model::config::{ConfigError, DataConfig, TrainConfig};
+use crate::world_model::config::{ConfigError, DataConfig, LearnedTraining, TrainConfig};
 use crate::world_model::dataset::{self, Episode, EpisodeStart, Triple};
 use crate::world_model::sight::FrameEncoder;
 use crate::world_model::stages::Init;
@@ -379,6 +379,22 @@ pub(crate) fn in_words(alarms: &[CollapseCheck]) -> String {
     alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
+/// What a model was trained on, for a card.
+fn data_in_words(config: &TrainConfig) -> String {
+    let (data, heads) = (&config.data, config.heads.frames);
+    match &config.learned {
+        Some(part) => format!(
+            "{}; {heads} of its pictures for the risk and channel heads, labelled by contacts and measured SNR",
+            part.recording.in_words()
+        ),
+        None => format!(
+            "{} episodes and {} that begin at an edge, {} actions each; {} frames for the latent heads, {heads} labelled \
+             ones for the risk and channel heads",
+            data.episodes, data.edge_episodes, data.steps, config.frames
+        ),
+    }
+}
+
 /// The card for people.
 pub(crate) fn card_text(
     model: &WorldModel,
@@ -388,7 +404,6 @@ pub(crate) fn card_text(
     stopwatch: Stopwatch,
 ) -> String {
     let Card { backend, config, metrics, .. } = &model.card;
-    let data = &config.data;
     let (wall, cpu) = stopwatch.seconds();
     let verdict = if alarms.is_empty() {
         String::new()
@@ -402,19 +417,15 @@ pub(crate) fn card_text(
          | | |\n|---|---|\n\
          | trained by | `model train --seed {}`, backend {backend} |\n\
          | revision | {} |\n\
-         | data | {} episodes and {} that begin at an edge, {} actions each; {} frames for the latent heads, {} labelled ones for the risk and channel heads |\n\
+         | data | {} |\n\
          | method | {} |\n\
          | time | {wall:.0} s wall, {cpu:.0} s CPU |\n\n\
          Measured on held-out frames (l1 errors, 1 px = 0.01 unit):\n\n```text\n{}{}```\n",
         model.encoder.parameters(),
         config.seed,
         revision,
-        data.episodes,
-        data.edge_episodes,
-        data.steps,
-        config.frames,
-        config.heads.frames,
-        config.stages.in_words(),
+        data_in_words(config),
+        config.learned.as_ref().map_or_else(|| config.stages.in_words(), LearnedTraining::in_words),
         metrics.table(),
         diagnostics.table(),
     )

@@ -63,6 +63,19 @@ pub struct LearnedTraining {
     pub encoder: LearnedConfig,
 }
 
+impl LearnedTraining {
+    /// The method in a line, for a card.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let LearnedConfig { steps, triples, momentum, .. } = &self.encoder;
+        format!(
+            "learned encoder from random weights: {steps} steps on {} pictures each, EMA target with {momentum}, no \
+             position",
+            6 * triples
+        )
+    }
+}
+
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {

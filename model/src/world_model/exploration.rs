@@ -46,6 +46,22 @@ pub struct ExplorationConfig {
     pub other_stations: f64,
 }
 
+impl ExplorationConfig {
+    /// The recording in a line, for a card.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let cameras: Vec<String> =
+            self.cameras.iter().map(|(name, share)| format!("{name} {:.0} %", 100.0 * share)).collect();
+        format!(
+            "a recording: {} episodes of {} pictures, cameras {}, SNR with {} dB of error",
+            self.episodes,
+            self.pictures,
+            cameras.join(", "),
+            self.snr_noise_db
+        )
+    }
+}
+
 impl Default for ExplorationConfig {
     fn default() -> Self {
         Self {

@@ -163,7 +163,12 @@ fn finish(
         linear: fitted.linear,
         heads,
         probe,
-        card: Card { format: FORMAT.into(), config: config.clone(), ..Card::default() },
+        card: Card {
+            format: FORMAT.into(),
+            backend: run.backend.name().into(),
+            config: config.clone(),
+            ..Card::default()
+        },
     };
     let held_out = config.held_out();
     model.card.metrics = evaluation::measure(
