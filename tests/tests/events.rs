@@ -340,8 +340,10 @@ fn a_reader_that_has_gone_away_is_no_panic() {
     let folder = tempfile::tempdir().unwrap();
     let saved = folder.path().join("saved.param");
     let sitl = program::path("sitl").unwrap();
+    // The process says its own number before it becomes `sitl`: said by the shell beside it, it could come second.
     let script = format!(
-        "'{}' --listen udpin:127.0.0.1:0 --ticks 3 --speed 1000 --save-params '{}' 2>&1 & echo $!; wait $!; echo $? >&2",
+        "{{ echo $BASHPID; exec '{}' --listen udpin:127.0.0.1:0 --ticks 3 --speed 1000 --save-params '{}'; }} 2>&1 & \
+         wait $!; echo $? >&2",
         sitl.display(),
         saved.display()
     );
