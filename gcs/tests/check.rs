@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use crpl_gcs::lab::Contender;
 use crpl_gcs::lab::check::ConstraintCheck;
+use crpl_model::encoder::BuiltIn;
 use crpl_model::numeric::mlp::Mlp;
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 
 fn measure(policies: &Policies, scenario: &Scenario, flights: usize, first_seed: u64) -> ConstraintCheck {
-    let world = Arc::new(WorldModel::embedded().expect("the shipped model reads"));
+    let world = Arc::new(WorldModel::built_in(BuiltIn::Centroid).expect("the shipped model reads"));
     let contender = Contender::with_policies(&world, policies, scenario);
     ConstraintCheck::measure(&contender, 0.95, flights, first_seed, None).expect("flights fly")
 }
@@ -20,7 +21,7 @@ fn the_shipped_policies_keep_the_chance_constraints_in_flight() {
     for number in [1, 2] {
         let mut scenario = Scenario::numbered(number).expect("the paper's scenario");
         scenario.disturbance.sigma_c = 0.005;
-        let policies = Policies::shipped(number).expect("the shipped policies read");
+        let policies = Policies::shipped(BuiltIn::Centroid, number).expect("the shipped policies read");
         let kept = measure(&policies, &scenario, 300, 3_100_000);
         assert!(kept.safe.holds() && kept.comm.holds(), "scenario {number}: {kept:?}");
     }
@@ -29,7 +30,7 @@ fn the_shipped_policies_keep_the_chance_constraints_in_flight() {
 #[test]
 fn a_policy_that_saves_power_in_the_shadow_is_caught_by_its_flights() {
     let scenario = Scenario::numbered(1).expect("the paper's scenario");
-    let mut policies = Policies::shipped(1).expect("the shipped policies read");
+    let mut policies = Policies::shipped(BuiltIn::Centroid, 1).expect("the shipped policies read");
     if let Some(last) = policies.power.layers.last_mut() {
         last.b = vec![100.0, -100.0];
     }
@@ -44,7 +45,7 @@ fn a_policy_that_flies_into_the_obstacle_is_caught_by_its_flights() {
     let mut scenario = Scenario::numbered(2).expect("the paper's scenario");
     scenario.obstacles[0].position.y = scenario.start.y;
     (scenario.safety.collision_tolerance, scenario.safety.outage_tolerance) = (0.2, 0.1);
-    let mut policies = Policies::shipped(2).expect("the shipped policies read");
+    let mut policies = Policies::shipped(BuiltIn::Centroid, 2).expect("the shipped policies read");
     let east = |net: &mut Mlp| {
         if let Some(last) = net.layers.last_mut() {
             last.w.iter_mut().for_each(|w| *w = 0.0);
@@ -63,7 +64,7 @@ fn a_policy_that_flies_into_the_obstacle_is_caught_by_its_flights() {
 #[test]
 fn a_policy_that_flies_to_the_edge_is_unsafe_where_the_scenario_has_a_margin() {
     let mut scenario = Scenario::numbered(2).expect("the paper's scenario");
-    let mut policies = Policies::shipped(2).expect("the shipped policies read");
+    let mut policies = Policies::shipped(BuiltIn::Centroid, 2).expect("the shipped policies read");
     if let Some(last) = policies.motion.layers.last_mut() {
         // North, away from the obstacle.
         last.w.iter_mut().for_each(|w| *w = 0.0);

@@ -6,13 +6,14 @@ use crpl_gcs::lab;
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
+use crpl_model::encoder::BuiltIn;
 use crpl_model::predictor::{Networks, PredictorKind};
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::{Scenario, Sim};
 
 fn flown(kind: PredictorKind, controller: Controller) -> Station {
-    let networks = Networks::embedded().expect("the shipped networks read");
-    let world = WorldModel::embedded().expect("the shipped checkpoint reads");
+    let networks = Networks::built_in(BuiltIn::Centroid).expect("the shipped networks read");
+    let world = WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads");
     let world = world.with_predictor(kind, &networks).expect("they belong together");
     let models =
         Models { world: Arc::new(world), ..Models::load(None, None).expect("the shipped models read") };

@@ -8,6 +8,7 @@ mod oracle;
 
 mod rate;
 
+use crpl_model::encoder::BuiltIn;
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -74,7 +75,7 @@ fn iteration() {
 
 fn scenario() {
     let (world, scenario) =
-        (WorldModel::embedded().expect("the shipped checkpoint reads"), Scenario::default());
+        (WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads"), Scenario::default());
     let config = OptimiseConfig::default();
     let start = Instant::now();
     let problem = PlanningProblem::of(&world, &scenario, &config, 1).expect("the shipped heads fit");

@@ -89,7 +89,7 @@ struct Train {
 
 #[derive(Debug, clap::Args)]
 struct NetworksOf {
-    /// World model that gives the latents: a folder, or `learned` or `centroid`, which are built in [default: centroid]
+    /// World model that gives the latents: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
     /// Training parameters that differ from the defaults (TOML); only [networks] is used

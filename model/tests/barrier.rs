@@ -1,6 +1,7 @@
 //! The barrier of Eq. (29): each constraint with its own tolerance, the tangent below feasibility, and
 //! how η grows in Algorithm 1.
 
+use crpl_model::encoder::BuiltIn;
 use crpl_model::planning::algorithm1::{Comparison, OptimiseProgress, OptimiseWatch, optimise};
 use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
 use crpl_model::planning::objective::{barrier, barrier_weight, estimate, influence, log_ext};
@@ -108,7 +109,7 @@ impl OptimiseWatch for Seen {
 
 #[test]
 fn eta_grows_by_mu_until_its_inverse_is_below_the_end() {
-    let world = WorldModel::embedded().expect("the shipped checkpoint reads");
+    let world = WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads");
     let problem = PlanningProblem::of(&world, &Scenario::default(), &config(), 3).expect("the heads fit");
     let mut seen = Seen::default();
     optimise(&problem, &config(), 3, None, &mut seen).expect("it runs");

@@ -1,5 +1,6 @@
 //! Algorithm 1 in small: it lowers J, and a run that was stopped ends as one that was not.
 
+use crpl_model::encoder::BuiltIn;
 use crpl_model::planning::algorithm1::{Comparison, OptimiseProgress, OptimiseWatch, optimise};
 use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
 use crpl_model::planning::plant::ObjectiveEstimate;
@@ -57,7 +58,7 @@ impl OptimiseWatch for Keep {
 }
 
 fn problem() -> PlanningProblem {
-    let world = WorldModel::embedded().expect("the shipped checkpoint reads");
+    let world = WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads");
     PlanningProblem::of(&world, &Scenario::default(), &config(), 3).expect("the shipped heads fit")
 }
 

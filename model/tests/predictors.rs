@@ -1,5 +1,6 @@
 //! Each predictor forecasts, plans and observes behind the same `step`.
 
+use crpl_model::encoder::BuiltIn;
 use crpl_model::encoder::weights::vector;
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::objective;
@@ -15,8 +16,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 fn world(kind: PredictorKind) -> WorldModel {
-    let networks = Networks::embedded().expect("the shipped networks read");
-    let world = WorldModel::embedded().expect("the shipped checkpoint reads");
+    let networks = Networks::built_in(BuiltIn::Centroid).expect("the shipped networks read");
+    let world = WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads");
     world.with_predictor(kind, &networks).expect("they belong together")
 }
 
@@ -72,7 +73,7 @@ fn each_of_them_gives_algorithm_1_the_slope_of_its_objective() {
 
 #[test]
 fn a_checkpoint_names_its_predictor_and_the_shipped_one_does_not_have_to() {
-    let (dir, networks) = (tempfile::tempdir().unwrap(), Networks::embedded().unwrap());
+    let (dir, networks) = (tempfile::tempdir().unwrap(), Networks::built_in(BuiltIn::Centroid).unwrap());
     let world = world(PredictorKind::Mlp);
     world.save(dir.path()).unwrap();
     let missing = WorldModel::load(dir.path()).unwrap_err().to_string();
@@ -85,7 +86,7 @@ fn a_checkpoint_names_its_predictor_and_the_shipped_one_does_not_have_to() {
     let foreign = WorldModel::load(dir.path()).unwrap_err().to_string();
     assert!(foreign.contains("was trained on world model 0123, and this is"), "{foreign}");
 
-    let shipped = WorldModel::embedded().unwrap();
+    let shipped = WorldModel::built_in(BuiltIn::Centroid).unwrap();
     shipped.save(dir.path()).unwrap();
     let text = std::fs::read_to_string(dir.path().join("config.json")).unwrap();
     assert!(!text.contains("\"kind\""), "the default is not written");

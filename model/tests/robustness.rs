@@ -1,5 +1,6 @@
 //! Where the shipped encoder breaks, and that the one trained on harder cameras does not.
 
+use crpl_model::encoder::BuiltIn;
 use std::path::Path;
 
 use crpl_model::evaluation::robustness::{RobustnessRow, robustness_table};
@@ -40,7 +41,7 @@ fn the_encoder_trained_on_harder_cameras_holds_on_each_of_them() {
 
 #[test]
 fn the_shipped_encoder_lives_on_pure_colours_and_clean_frames() {
-    let rows = rows(&WorldModel::embedded().unwrap());
+    let rows = rows(&WorldModel::built_in(BuiltIn::Centroid).unwrap());
     let clean = row(&rows, "clean, whole disc");
     assert!(clean.z_c_p90_px <= 0.15 && clean.z_u_p90_px <= 0.3, "{clean:?}");
     // It is not trained for these, and the table says so.
@@ -51,7 +52,7 @@ fn the_shipped_encoder_lives_on_pure_colours_and_clean_frames() {
 
 #[test]
 fn the_table_is_a_function_of_the_seed() {
-    let model = WorldModel::embedded().unwrap();
+    let model = WorldModel::built_in(BuiltIn::Centroid).unwrap();
     let table = |seed| robustness_table(&model, 50, &Scenario::default(), &Noise::new(seed));
     assert_eq!(table(1), table(1));
     assert_ne!(table(1), table(2));

@@ -1,5 +1,6 @@
 //! What the shipped world model promises, on frames that training never saw.
 
+use crpl_model::encoder::BuiltIn;
 use crpl_model::encoder::module::{self, Backend};
 use crpl_model::evaluation;
 use crpl_model::heads::labels::{self, BaseStation, HeadsConfig, Scene};
@@ -15,7 +16,7 @@ fn fresh() -> Noise {
 }
 
 fn shipped() -> WorldModel {
-    WorldModel::embedded().expect("the shipped checkpoint reads")
+    WorldModel::built_in(BuiltIn::Centroid).expect("the shipped checkpoint reads")
 }
 
 #[test]
@@ -64,7 +65,8 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
     use crpl_model::evaluation::report::{ReportConfig, measure};
     use crpl_model::predictor::Networks;
 
-    let (model, networks) = (shipped(), Networks::embedded().expect("the shipped networks read"));
+    let (model, networks) =
+        (shipped(), Networks::built_in(BuiltIn::Centroid).expect("the shipped networks read"));
     assert_eq!(networks.world, crpl_model::world_model::checkpoint::fingerprint(&model).unwrap());
     let config =
         ReportConfig { seed: 77, trajectories: 200, frames: 2000, window: 20, camera: "clean".into() };
@@ -189,7 +191,8 @@ fn with_nothing_discarded_the_learned_bounds_hold_what_the_linear_predictor_does
     use crpl_model::world_model::dataset::Selection;
     use crpl_sitl::world::noise::Noise;
 
-    let (model, networks) = (shipped(), Networks::embedded().expect("the shipped networks read"));
+    let (model, networks) =
+        (shipped(), Networks::built_in(BuiltIn::Centroid).expect("the shipped networks read"));
     let scenario = Scenario::default();
     let panel = Panel::new(&model, &networks, &scenario);
     let row = |name: Forecaster, start: RolloutStart| {
@@ -217,7 +220,7 @@ fn the_shipped_networks_file_is_what_saving_writes() {
     use crpl_model::predictor::{Networks, PREDICTORS};
 
     let dir = tempfile::tempdir().unwrap();
-    let networks = Networks::embedded().expect("the shipped networks read");
+    let networks = Networks::built_in(BuiltIn::Centroid).expect("the shipped networks read");
     assert!(networks.bounds.is_some());
     networks.save(dir.path()).unwrap();
     let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("pretrained").join(PREDICTORS);

@@ -10,7 +10,7 @@ use tests::{interchange, python};
 
 #[test]
 fn pytorch_and_onnx_runtime_compute_what_we_compute() {
-    agrees(&WorldModel::embedded().unwrap());
+    agrees(&WorldModel::built_in(BuiltIn::Centroid).unwrap());
 }
 
 #[test]
@@ -20,7 +20,7 @@ fn so_they_do_with_the_learned_encoder() {
 
 #[test]
 fn so_they_do_behind_a_colour_layer() {
-    let mut model = WorldModel::embedded().unwrap();
+    let mut model = WorldModel::built_in(BuiltIn::Centroid).unwrap();
     let mut weights = model.encoder.centroid().expect("the shipped encoder").weights().clone();
     weights.input.colour = Some(Colour { w: [[1.0, -0.03, -0.04], [0.06, -0.03, 1.0]], b: [-0.1, -0.08] });
     model.encoder = FrameEncoder::Centroid(Box::new(crpl_model::encoder::infer::Encoder::new(weights)));

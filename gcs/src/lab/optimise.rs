@@ -40,7 +40,7 @@ pub struct Optimise {
     /// Seed of weights, rollouts and starts
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// World model: a folder, or `learned` or `centroid`, which are built in [default: centroid]
+    /// World model: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
     /// Folder for the policies

@@ -195,6 +195,7 @@ mod tests {
     use crpl_sitl::units::TxPower;
 
     use super::*;
+    use crpl_model::encoder::BuiltIn;
 
     fn report(tick: u64, held: Option<u64>, outage: bool) -> Heard {
         Heard {
@@ -235,7 +236,7 @@ mod tests {
     /// Flies by hand with gaps: places obey the actions that are reported as held.
     #[test]
     fn the_speed_is_right_under_held_actions_and_missed_percepts() {
-        let world = WorldModel::embedded().unwrap();
+        let world = WorldModel::built_in(BuiltIn::Centroid).unwrap();
         let mut scenario = Scenario::default();
         scenario.observer.window = 10;
         let mut belief = Belief::new(&world, BeliefConfig::of(&scenario));

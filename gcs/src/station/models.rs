@@ -193,7 +193,7 @@ impl Models {
 /// Flags that name the trained models.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ModelFiles {
-    /// World model: a folder, or `learned` or `centroid`, which are built in [default: centroid]
+    /// World model: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
     /// File of CRPL's policies [default: the built-in ones]

@@ -10,11 +10,13 @@ pub mod weights;
 use std::path::Path;
 
 /// The world models that ship with the programs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum BuiltIn {
     /// Hand-set kernels that carry centroids of colours: for the clean drawing.
     Centroid,
-    /// Trained end to end from random weights on recorded pictures of clean and hard cameras.
+    /// Trained end to end from random weights on recorded pictures of clean and hard cameras: the one that programs
+    /// take where none is named.
+    #[default]
     Learned,
 }
 

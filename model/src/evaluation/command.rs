@@ -17,7 +17,7 @@ pub struct Evaluate {
     /// Seed of the frames and flights
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// World model: a folder, or `learned` or `centroid`, which are built in [default: centroid]
+    /// World model: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
     /// Folder of other networks, written by `model predictors` [default: those beside the world model]

@@ -14,6 +14,9 @@ pub const WIDTH: usize = 16;
 /// Cells along a row that one inner loop computes together.
 const TILE: usize = 5;
 
+/// The same for most of what [`TILE`] leaves of a row.
+const REST: usize = 3;
+
 /// Inputs whose weight gradients one inner loop sums together.
 const INPUTS: usize = 4;
 
@@ -80,7 +83,9 @@ pub struct ConvSweep {
     pub taps: Vec<Tap>,
     /// Values of a tap.
     pub inputs: usize,
-    /// Cells computed along each side.
+    /// Rows of cells computed.
+    pub rows: usize,
+    /// Cells of a row computed.
     pub cells: usize,
     /// Cells of `from` between two neighbours.
     pub from_stride: usize,
@@ -100,7 +105,17 @@ impl ConvSweep {
         let taps =
             (0..kernel * kernel).map(|n| Tap { dy: at(n / kernel), dx: at(n % kernel), weight: n }).collect();
         let inputs = from.channels;
-        Self { from, to, taps, inputs, cells: to.side, from_stride: stride, to_stride: 1, first: [0, 0] }
+        Self {
+            from,
+            to,
+            taps,
+            inputs,
+            rows: to.side,
+            cells: to.side,
+            from_stride: stride,
+            to_stride: 1,
+            first: [0, 0],
+        }
     }
 
     /// The same with a row of the kernel as one tap, for few channels: its cells are neighbours in memory. Weights
@@ -136,6 +151,7 @@ impl ConvSweep {
                     to,
                     taps: taps.collect(),
                     inputs: from.channels,
+                    rows: to.side / self.from_stride,
                     cells: to.side / self.from_stride,
                     from_stride: 1,
                     to_stride: self.from_stride,
@@ -143,6 +159,13 @@ impl ConvSweep {
                 }
             })
             .collect()
+    }
+
+    /// A product of matrices: adds `[cells][inputs]` times `[inputs][outputs]` to `[cells][outputs]`.
+    #[must_use]
+    pub fn product(cells: usize, inputs: usize, outputs: usize) -> Self {
+        let row = |channels: usize| CellGrid { side: cells, border: 0, channels };
+        Self { rows: 1, ..Self::convolution(row(inputs), row(outputs), 1, 1, 1) }
     }
 
     /// Adds the sweep of `x` with weights `w` to `y`.
@@ -207,11 +230,15 @@ widths!(sweep_three, weights_three, 3);
 
 #[inline(always)]
 fn sweep_blocks<const B: usize>(sweep: &ConvSweep, x: &[f32], w: &[f32], y: &mut [f32]) {
-    for cy in 0..sweep.cells {
+    for cy in 0..sweep.rows {
         let mut cx = 0;
         while cx + TILE <= sweep.cells {
             tile::<B, TILE>(sweep, cy, cx, x, w, y);
             cx += TILE;
+        }
+        if cx + REST <= sweep.cells {
+            tile::<B, REST>(sweep, cy, cx, x, w, y);
+            cx += REST;
         }
         while cx < sweep.cells {
             tile::<B, 1>(sweep, cy, cx, x, w, y);
@@ -242,10 +269,12 @@ fn tile<const B: usize, const T: usize>(
     let inputs = sweep.inputs;
     for tap in &sweep.taps {
         let begin = sweep.tap(centre, tap);
-        let cells: [&[f32]; T] = std::array::from_fn(|t| &x[begin + t * step..][..inputs]);
         let w = &w[tap.weight * inputs * B * WIDTH..][..inputs * B * WIDTH];
         let w = w.as_chunks::<WIDTH>().0.as_chunks::<B>().0;
-        let cells = cells.map(|cell| &cell[..w.len()]);
+        let mut cells: [&[f32]; T] = [&[]; T];
+        for (t, cell) in cells.iter_mut().enumerate() {
+            *cell = &x[begin + t * step..][..w.len()];
+        }
         for (i, w) in w.iter().enumerate() {
             for t in 0..T {
                 let v = cells[t][i];
@@ -296,7 +325,7 @@ fn some_weights<const B: usize, const I: usize>(
 ) {
     let mut sums = [[[0.0f32; WIDTH]; B]; I];
     let step = sweep.from_stride * sweep.from.channels;
-    for cy in 0..sweep.cells {
+    for cy in 0..sweep.rows {
         let (centre, out) = sweep.places(cy, 0);
         let begin = sweep.tap(centre, tap) + first;
         let dy = &dy[out..][..sweep.cells * B * WIDTH];

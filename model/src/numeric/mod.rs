@@ -6,3 +6,4 @@ pub mod kernel;
 pub mod mlp;
 pub mod statistics;
 pub mod tensors;
+pub mod winograd;

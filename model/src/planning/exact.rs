@@ -81,11 +81,12 @@ fn lane(y: &[Lane; 4], l: usize) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::encoder::BuiltIn;
     use crate::world_model::WorldModel;
 
     #[test]
     fn it_is_the_simulators_equation_and_its_slope() {
-        let world = WorldModel::embedded().unwrap();
+        let world = WorldModel::built_in(BuiltIn::Centroid).unwrap();
         let scenario = Scenario::default();
         let (r, o) = (Vector2::new(0.4, 0.31), scenario.obstacle().position);
         let (y_c, y_u) = (world.probe.c.invert(r).unwrap(), world.probe.u.invert(o).unwrap());

@@ -147,6 +147,7 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
+    use crate::encoder::BuiltIn;
     use crate::planning::config::OptimiseConfig;
     use crate::planning::policy::Policies;
     use crate::world_model::WorldModel;
@@ -164,8 +165,8 @@ mod tests {
     /// The UAV flies east at 0.02 an interval; an obstacle stands 0.2 ahead of it, or comes down on its way.
     #[test]
     fn it_steers_away_from_an_obstacle_that_the_policy_does_not_know() {
-        let world = WorldModel::embedded().unwrap();
-        let policies = Policies::shipped(2).unwrap();
+        let world = WorldModel::built_in(BuiltIn::Centroid).unwrap();
+        let policies = Policies::shipped(BuiltIn::Centroid, 2).unwrap();
         let scenario = Scenario::default();
         let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
         let problem = PlanningProblem::of(&world, &scenario, &config, 0).unwrap();

@@ -13,6 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
+use crate::encoder::BuiltIn;
 use crate::numeric::kernel;
 use crate::numeric::mlp::{Dense, Mlp};
 use crate::numeric::tensors::is_sane;
@@ -143,13 +144,16 @@ impl Policies {
         Self { motion, power, world: String::new(), scope: None }
     }
 
-    /// The policies of the centroid world model that ship with the program, optimised for the paper's Scenario 1 or 2.
+    /// The policies of a built-in world model that ship with the program, optimised for the paper's Scenario 1 or 2.
     ///
     /// # Errors
     /// If no policy ships for this scenario.
-    pub fn shipped(scenario: u8) -> Result<Self, PolicyError> {
-        let Some((path, bytes)) = usize::from(scenario).checked_sub(1).and_then(|n| SHIPPED.get(..2)?.get(n))
-        else {
+    pub fn shipped(which: BuiltIn, scenario: u8) -> Result<Self, PolicyError> {
+        let name = match which {
+            BuiltIn::Centroid => format!("pretrained/policy_s{scenario}.safetensors"),
+            BuiltIn::Learned => format!("pretrained/learned/policy_s{scenario}.safetensors"),
+        };
+        let Some((path, bytes)) = SHIPPED.into_iter().find(|(path, _)| *path == name) else {
             let message = format!("no policy ships for scenario {scenario}");
             return Err(PolicyError::Content { path: "pretrained".into(), message });
         };

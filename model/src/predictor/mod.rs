@@ -420,12 +420,12 @@ impl Networks {
         Self::parse(&tensors::read(&path)?, path)
     }
 
-    /// Those that ship with the program.
+    /// Those of the world model that programs take where none is named.
     ///
     /// # Errors
     /// If the program was built with a file of another format.
     pub fn embedded() -> Result<Self, TensorError> {
-        Self::built_in(BuiltIn::Centroid)
+        Self::built_in(BuiltIn::default())
     }
 
     /// The networks that belong to a world model that ships with the program.

@@ -1,6 +1,7 @@
 //! `model ablate` and `model robustness`: what each ingredient of the recipe contributes, and which cameras
 //! and states an encoder cannot handle.
 
+use crate::encoder::BuiltIn;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -98,7 +99,7 @@ pub fn robustness(args: &Robustness) -> anyhow::Result<()> {
         models.push((name, load_or_train(path, args.backend)?));
     }
     if models.is_empty() {
-        models.push(("shipped".into(), WorldModel::embedded()?));
+        models.push(("shipped".into(), WorldModel::built_in(BuiltIn::Centroid)?));
     }
     let tables: Vec<_> = models
         .iter()

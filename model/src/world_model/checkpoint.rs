@@ -98,12 +98,12 @@ impl WorldModel {
         Ok(tensors::write_all(&dir.join(CONFIG), &config)?)
     }
 
-    /// The model that programs take where none is named: [`BuiltIn::Centroid`].
+    /// The model that programs take where none is named: [`BuiltIn::Learned`].
     ///
     /// # Errors
     /// If the program was built with a checkpoint of another format.
     pub fn embedded() -> Result<Self, CheckpointError> {
-        Self::built_in(BuiltIn::Centroid)
+        Self::built_in(BuiltIn::default())
     }
 
     /// A model that ships with the program, trained by `model train`.

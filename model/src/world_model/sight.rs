@@ -44,7 +44,7 @@ impl LearnedSight {
     pub fn votes(&self, frame: &Frame) -> Votes {
         ACTIVATIONS.with_borrow_mut(|activations| {
             activations.set_frame(frame);
-            self.encoder.forward(activations)
+            self.encoder.read(activations)
         })
     }
 }

@@ -52,11 +52,12 @@ impl LastLatents {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crpl_model::encoder::BuiltIn;
     use crpl_sitl::{Scenario, camera};
 
     #[test]
     fn they_are_what_the_encoder_sees() {
-        let world = WorldModel::embedded().unwrap();
+        let world = WorldModel::built_in(BuiltIn::Centroid).unwrap();
         let scenario = Scenario::default();
         let obstacle = scenario.obstacle().position;
         let mut memory = LastLatents::default();

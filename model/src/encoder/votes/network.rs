@@ -1,5 +1,7 @@
 //! The learned encoder's layers on one frame: forward for flights, backward for training.
 
+use std::sync::OnceLock;
+
 use crpl_sitl::camera::Frame;
 
 use crate::encoder::votes::BODIES;
@@ -7,6 +9,7 @@ use crate::encoder::votes::readout::{self, Attention, CELLS, STRIDE, Votes, Vote
 use crate::encoder::votes::weights::{DEPTH, SIDES, TRUNK, VoteWeights};
 use crate::encoder::weights::{LEAK, Layer};
 use crate::numeric::conv::{CellGrid, ConvSweep, WIDTH};
+use crate::numeric::winograd::Winograd;
 
 /// Divisor of a byte: the network's input is byte/128.
 pub const INPUT_SCALE: f32 = 128.0;
@@ -16,7 +19,12 @@ pub const INPUT_SCALE: f32 = 128.0;
 pub struct VoteEncoder {
     weights: VoteWeights,
     layers: [PackedConv; DEPTH + 1],
+    /// The trunk's layers from [`FIRST_TILED`] on, for flights; made when a first picture is read.
+    tiled: OnceLock<[Winograd; DEPTH - FIRST_TILED]>,
 }
+
+/// The first layer of the trunk with a stride of 1, and so have those after it.
+const FIRST_TILED: usize = 2;
 
 /// One layer: `[k²][inputs][outputs]` and its bias, outputs filled up to a multiple of [`WIDTH`].
 #[derive(Debug, Clone)]
@@ -101,12 +109,17 @@ impl PackedConv {
         packed
     }
 
-    /// Bias in every cell, then the sweep.
-    fn forward(&self, x: &[f32], y: &mut [f32]) {
-        for row in self.sweep.to.rows() {
-            y[row].chunks_exact_mut(self.b.len()).for_each(|cell| cell.copy_from_slice(&self.b));
+    /// Bias in every cell, then the sweep, by `tiled` if that is given.
+    fn forward(&self, tiled: Option<&Winograd>, x: &[f32], y: &mut [f32]) {
+        let mut rows = self.sweep.to.rows();
+        if let Some(first) = rows.next() {
+            y[first.clone()].chunks_exact_mut(self.b.len()).for_each(|cell| cell.copy_from_slice(&self.b));
+            rows.for_each(|row| y.copy_within(first.clone(), row.start));
         }
-        self.sweep.add(x, &self.w, y);
+        match tiled {
+            Some(tiled) => tiled.add(x, y),
+            None => self.sweep.add(x, &self.w, y),
+        }
     }
 }
 
@@ -138,7 +151,7 @@ impl VoteEncoder {
     pub fn new(weights: VoteWeights) -> Self {
         let layers = weights.layers();
         let layers = std::array::from_fn(|n| PackedConv::new(n, layers[n]));
-        Self { weights, layers }
+        Self { weights, layers, tiled: OnceLock::new() }
     }
 
     /// The weights as they were given.
@@ -152,15 +165,32 @@ impl VoteEncoder {
     pub fn votes(&self, frame: &Frame) -> Votes {
         let mut activations = Activations::default();
         activations.set_frame(frame);
-        self.forward(&mut activations)
+        self.read(&mut activations)
     }
 
     /// The same of what `activations` took up last.
+    pub fn read(&self, activations: &mut Activations) -> Votes {
+        let tiled = self.tiled.get_or_init(|| {
+            std::array::from_fn(|n| {
+                let layer = &self.layers[FIRST_TILED + n];
+                Winograd::new(layer.sweep.from, layer.sweep.to, TRUNK[FIRST_TILED + n].dilation, &layer.w)
+            })
+        });
+        self.run(tiled, activations)
+    }
+
+    /// The same with plain convolutions, whose weights may change with every batch: for training. It differs by
+    /// rounding alone.
     pub fn forward(&self, activations: &mut Activations) -> Votes {
+        self.run(&[], activations)
+    }
+
+    fn run(&self, tiled: &[Winograd], activations: &mut Activations) -> Votes {
         let Activations { grids, attention, votes } = activations;
         for (n, layer) in self.layers.iter().enumerate() {
             let (before, after) = grids.split_at_mut(n + 1);
-            layer.forward(&before[n], &mut after[0]);
+            let tiled = n.checked_sub(FIRST_TILED).and_then(|n| tiled.get(n));
+            layer.forward(tiled, &before[n], &mut after[0]);
             if n < DEPTH {
                 for row in layer.sweep.to.rows() {
                     after[0][row].iter_mut().for_each(|v| *v = v.max(LEAK * *v));
@@ -296,5 +326,17 @@ mod tests {
         assert_eq!(encoder.forward(&mut used), first);
         encoder.backward(&used, &by, &mut scratch, &mut twice);
         assert_eq!(once.unpacked(), twice.unpacked());
+    }
+
+    #[test]
+    fn a_flight_reads_what_training_reads() {
+        let encoder = VoteEncoder::new(VoteWeights::random(&Noise::new(4)));
+        let (flown, trained) = (encoder.read(&mut scene()), encoder.forward(&mut scene()));
+        for body in 0..BODIES {
+            for axis in 0..2 {
+                let (a, b) = (flown.p[body][axis], trained.p[body][axis]);
+                assert!((a - b).abs() < 1e-3, "{a} px in flight, {b} px in training");
+            }
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! From a frame's maps to the places of both bodies, and the gradient back.
 
+use multiversion::multiversion;
+
 use crate::encoder::votes::BODIES;
 use crate::encoder::votes::weights::MAPS;
 use crate::numeric::kernel;
@@ -54,6 +56,11 @@ impl Default for Attention {
 
 /// Reads both bodies from `maps` `[625][STRIDE]`; `attention` is kept for [`gradient`].
 #[must_use]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 pub fn read(maps: &[f32], attention: &mut [Attention; BODIES]) -> Votes {
     let mut out = Votes::default();
     for (body, attention) in attention.iter_mut().enumerate() {
