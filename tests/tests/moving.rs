@@ -38,7 +38,8 @@ fn riskiest(flights: &[FlightScore]) -> f64 {
     flights.iter().map(|flight| flight[Metric::CollisionProbability]).fold(0.0, f64::max)
 }
 
-/// Means over 20 flights: p_coll 0.01 and 0.02, d_f 0.01 and 0.02. The limits here are wide: contact is 0.5.
+/// The limits here are wide: contact is 0.5. A policy that takes the obstacles for standing ones shows that there is
+/// something to go round.
 #[test]
 fn crpl_rh_goes_round_what_flies_into_crpl() {
     for name in ["moving_fast.toml", "two_obstacles.toml"] {
@@ -47,7 +48,8 @@ fn crpl_rh_goes_round_what_flies_into_crpl() {
         let far = flights.iter().map(|flight| flight[Metric::TerminalDistance]).fold(0.0, f64::max);
         assert!(far < 0.1, "{name}: {flights:?}");
         let blind = fly(Controller::Crpl, name);
-        assert!(riskiest(&blind) > 0.4, "{name} asks nothing: {blind:?}");
+        let (seen, unseen) = (riskiest(&flights), riskiest(&blind));
+        assert!(unseen > 0.3 && unseen > 2.0 * seen, "{name} asks nothing: {unseen} where crpl-rh has {seen}");
     }
 }
 

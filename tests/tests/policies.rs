@@ -49,7 +49,7 @@ fn gcs_demo_and_episodes_refuse_a_world_that_the_policy_was_not_made_for() {
 #[test]
 fn gcs_episodes_with_scenario_1_and_the_policy_of_scenario_2_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let policy = program::workspace().join("model/pretrained/policy_s2.safetensors");
+    let policy = program::workspace().join("model/pretrained/learned/policy_s2.safetensors");
     let args = ["episodes", "--scenario", "1", "--policy", policy.to_str().unwrap(), "--controller", "crpl"];
     let ended = gcs(folder.path(), &args);
     let named = "obstacle[0].position = [0.5, 0.45] in the policy, [0.5, 0.3] here";
