@@ -135,3 +135,25 @@ fn colours_outside_its_family_are_lost() {
     let lost = case(&shipped(), "any").lost;
     assert!(lost > 0.3, "only {lost} lost: the page says otherwise");
 }
+
+#[test]
+fn a_row_of_the_ablation_is_trained_once_and_every_change_changes_something() {
+    use crpl_model::training::learned::ablation::LEARNED_ABLATIONS;
+    use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
+
+    let (dir, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    record(dir.path());
+    let recording = Recording::open(dir.path(), None).unwrap();
+    let part = LearnedTraining { encoder: small(2), ..LearnedTraining::default() };
+    let (base, count) = (TrainConfig::default(), 6);
+    let row = LEARNED_ABLATIONS[0].run(&base, &part, &recording, out.path(), count).unwrap();
+    let cases: Vec<&str> = row.cases.iter().map(|case| case.case.as_str()).collect();
+    assert_eq!(cases, ["clean", "harder", "texture"]);
+    // The second time it is read, not trained: nothing could be trained for 0 pictures.
+    let again = LEARNED_ABLATIONS[0].run(&base, &part, &recording, out.path(), 0).unwrap();
+    assert_eq!(again, row);
+    for change in &LEARNED_ABLATIONS[1..] {
+        let changed = change.config(&part.encoder);
+        assert_ne!(changed, part.encoder, "{}", change.name);
+    }
+}

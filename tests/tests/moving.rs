@@ -49,7 +49,10 @@ fn crpl_rh_goes_round_what_flies_into_crpl() {
         assert!(far < 0.1, "{name}: {flights:?}");
         let blind = fly(Controller::Crpl, name);
         let (seen, unseen) = (riskiest(&flights), riskiest(&blind));
-        assert!(unseen > 0.3 && unseen > 2.0 * seen, "{name} asks nothing: {unseen} where crpl-rh has {seen}");
+        assert!(
+            unseen > 0.3 && unseen > 2.0 * seen,
+            "{name} asks nothing: {unseen} where crpl-rh has {seen}"
+        );
     }
 }
 

@@ -1,16 +1,17 @@
 //! `model ablate` and `model robustness`: what each ingredient of the recipe contributes, and which cameras
 //! and states an encoder cannot handle.
 
-use crate::encoder::BuiltIn;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use crate::encoder::BuiltIn;
 use crate::encoder::module::Backend;
 use crate::evaluation::robustness;
 use crate::training::ablation::{ABLATIONS, HEAD};
+use crate::training::learned::ablation::{self as learned_ablation, LEARNED_ABLATIONS};
 use crate::training::recipe::without_heads;
 use crate::world_model::WorldModel;
-use crate::world_model::config::TrainConfig;
+use crate::world_model::config::{LearnedTraining, TrainConfig};
 use anyhow::Context;
 use crpl_sitl::Scenario;
 use crpl_sitl::world::noise::Noise;
@@ -33,6 +34,12 @@ pub struct Ablate {
     /// Only rows whose name contains TEXT
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
+    /// Recording that the rows of a `[learned]` configuration learn from [default: one is made in --out]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Folder of the rows of a `[learned]` configuration; rows that are there are not trained again
+    #[arg(long, value_name = "DIR", default_value = "runs/ablation")]
+    out: PathBuf,
     /// Print one JSON line per row
     #[arg(long)]
     json: bool,
@@ -66,6 +73,9 @@ pub struct Robustness {
 pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
     let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
+    if let Some(part) = &config.learned {
+        return ablate_learned(args, &config, part, wanted);
+    }
     let changes: Vec<_> = ABLATIONS.iter().filter(|change| wanted(change.name)).collect();
     if changes.is_empty() {
         let only = args.only.as_deref().unwrap_or_default();
@@ -77,6 +87,49 @@ pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
     }
     for change in changes {
         let row = change.run(&config, args.backend, args.frames)?;
+        if args.json {
+            writeln!(out, "{}", serde_json::to_string(&row)?)?;
+        } else {
+            write!(out, "{}", row.line())?;
+        }
+        out.flush()?;
+    }
+    Ok(())
+}
+
+/// The same of the learned encoder.
+fn ablate_learned(
+    args: &Ablate,
+    config: &TrainConfig,
+    part: &LearnedTraining,
+    wanted: impl Fn(&str) -> bool,
+) -> anyhow::Result<()> {
+    let changes: Vec<_> =
+        LEARNED_ABLATIONS.iter().filter(|change| wanted(change.key) || wanted(change.name)).collect();
+    if changes.is_empty() {
+        let only = args.only.as_deref().unwrap_or_default();
+        anyhow::bail!("--only {only}: no row's name contains it");
+    }
+    let identity =
+        format!("{:#}\n", serde_json::json!({ "config": config, "data": args.data, "frames": args.frames }));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
+    let place = args.out.join("run.json");
+    match std::fs::read_to_string(&place) {
+        Ok(text) if text != identity => {
+            anyhow::bail!("{} holds rows of another configuration; take another --out", args.out.display())
+        }
+        Ok(_) => {}
+        Err(_) => {
+            std::fs::write(&place, &identity).with_context(|| format!("writing {}", place.display()))?
+        }
+    }
+    let recording = learned_ablation::recording(config, part, args.data.as_deref(), &args.out)?;
+    let mut out = std::io::stdout().lock();
+    if !args.json {
+        write!(out, "{}", learned_ablation::head())?;
+    }
+    for change in changes {
+        let row = change.run(config, part, &recording, &args.out, args.frames)?;
         if args.json {
             writeln!(out, "{}", serde_json::to_string(&row)?)?;
         } else {

@@ -4,6 +4,8 @@
 //! losses are in [`loss`]. A step is a function of the seed, its number and the state before it, so an
 //! interrupted run ends with the bytes of one that was not.
 
+#[cfg(feature = "train")]
+pub mod ablation;
 pub mod adapt;
 pub mod batch;
 pub mod loss;

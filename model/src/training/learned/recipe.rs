@@ -85,7 +85,10 @@ pub fn train(
 }
 
 /// Records exploratory flights into `dir`, unless they are there.
-fn record(
+///
+/// # Errors
+/// If a camera has no such name, or a file cannot be written.
+pub fn record(
     config: &TrainConfig,
     part: &LearnedTraining,
     scenario: &Scenario,
