@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use crpl_gcs::flight::FlightEnd;
 use crpl_gcs::flight::foreign::Foreign;
 use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
@@ -175,6 +176,29 @@ fn a_mode_that_is_changed_during_the_climb_ends_the_flight() {
         assert_eq!(story.autopilot.accelerations, 0, "{mode}");
         assert_eq!(story.autopilot.mode(), mode);
     }
+}
+
+/// The milliseconds of a vehicle that has run for 49.7 days begin at 0 again: that is no restart.
+#[test]
+fn a_flight_goes_on_when_the_vehicle_s_stamps_come_round() {
+    let mut autopilot = Autopilot::new(Stack::ArduPilot, [-7.0, 21.0], true);
+    autopilot.clock_ahead_ms = u32::MAX - 40_000;
+    let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+    assert!(matches!(story.end, GuideEvent::Holding), "{:?} {:?}", story.end, story.said);
+    let score = story.station.score().unwrap();
+    assert!(score.is(FlightOutcome::Reached) && score.ticks == scenario().horizon, "{score:?}");
+}
+
+/// A clock that is set by months in flight was followed, interval by interval.
+#[test]
+fn a_clock_that_is_set_in_flight_ends_it() {
+    let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
+        if autopilot.accelerations == 100 {
+            autopilot.clock_ahead_ms = 2_000_000_000;
+        }
+    });
+    let GuideEvent::Failed(FlightEnd::Rebooted, why) = &story.end else { panic!("{:?}", story.end) };
+    assert!(why.contains("clock was set"), "{why}");
 }
 
 /// Report A10: failsafes and crashes were "the operator has taken over".

@@ -170,7 +170,11 @@ fn scenario_beside(path: &Path) -> Result<Scenario> {
     Ok(Scenario::default())
 }
 
-fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
+/// The records of a flight, told as the vehicle told them.
+///
+/// # Errors
+/// A line is no record.
+pub fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
     let clock = Clock::new(scenario);
     let (mut autopilot, mut radio) = (Encoder::new(1, AUTOPILOT), Encoder::new(1, RADIO));
     let mut script = Script::new();

@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use crpl_sitl::Scenario;
+use crpl_sitl::link::boot_time::BootTime;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
     ATTITUDE_DATA, BATTERY_STATUS_DATA, COMMAND_LONG_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA,
@@ -92,6 +93,8 @@ const LOGGED: [(u32, f32); 5] = [
 ];
 /// How far back the vehicle's clock goes only if it has started anew.
 const RESTART: Duration = Duration::from_secs(2);
+/// How far it goes ahead only if it was set.
+const CLOCK_SET: Duration = Duration::from_secs(600);
 /// How far the vehicle may leave the paper's square, in its units: there the camera sees it no more.
 const FENCE: f64 = 0.1;
 /// At the height, m, and at rest, m/s: good enough to begin.
@@ -168,6 +171,7 @@ pub struct Guide {
     commands: CommandQueue,
     system: Option<u8>,
     place: Option<ReportedPlace>,
+    boot: BootTime,
     /// Where it stood before it climbed.
     ground: [f32; 3],
     scene: Option<ForeignScene>,
@@ -221,6 +225,7 @@ impl Guide {
             commands: CommandQueue::default(),
             system: foreign.system,
             place: None,
+            boot: BootTime::default(),
             ground: [0.0; 3],
             scene: None,
             tracker: Tracker::new(v_max),
@@ -278,7 +283,7 @@ impl Guide {
     fn packet(&mut self, packet: &Packet, now: Duration) {
         let place = LocalPositionNed::of(packet).filter(|_| packet.component == AUTOPILOT);
         if let Some(LocalPositionNed { time_boot_ms, position, velocity }) = place {
-            let boot = Duration::from_millis(time_boot_ms.into());
+            let boot = self.boot.at(time_boot_ms);
             let place = ReportedPlace { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
@@ -671,6 +676,9 @@ impl Guide {
     fn tick(&mut self, place: &ReportedPlace, now: Duration) {
         if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
             return self.fail(FlightEnd::Rebooted, "the vehicle has started anew in flight".into());
+        }
+        if place.boot > self.next_tick + CLOCK_SET {
+            return self.fail(FlightEnd::Rebooted, "the vehicle's clock was set in flight".into());
         }
         if let Some(trip) = self.round_trip().filter(|trip| *trip > 2.0 * LONGEST_TRIP) {
             let why = format!("the link's round trip has grown to {trip:.2} s");
