@@ -91,7 +91,7 @@ PROBES = [
     ("PREFLIGHT_STORAGE 0", long(cmd.MAV_CMD_PREFLIGHT_STORAGE, 0), f"{NO} b", f"{LATER} p"),
     ("RUN_PREARM_CHECKS", long(cmd.MAV_CMD_RUN_PREARM_CHECKS), f"{LATER} b", f"{OK} p"),
     ("GET_HOME_POSITION", long(cmd.MAV_CMD_GET_HOME_POSITION), f"{OK}, HOME_POSITION b", f"{OK}, HOME_POSITION q", "HOME_POSITION"),
-    ("REQUEST_PROTOCOL_VERSION", long(cmd.MAV_CMD_REQUEST_PROTOCOL_VERSION), f"{LACKS} b", f"{OK}, PROTOCOL_VERSION q", "PROTOCOL_VERSION"),
+    ("REQUEST_PROTOCOL_VERSION", long(cmd.MAV_CMD_REQUEST_PROTOCOL_VERSION), f"{LACKS} b", f"{OK}, PROTOCOL_VERSION q", "UNKNOWN_300"),
     ("REQUEST_AUTOPILOT_CAPABILITIES 1", long(cmd.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1), f"{OK}, AUTOPILOT_VERSION b", f"{OK}, AUTOPILOT_VERSION q", "AUTOPILOT_VERSION"),
     ("REQUEST_AUTOPILOT_CAPABILITIES 0", long(cmd.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 0), f"{WRONG} b", f"{OK}, AUTOPILOT_VERSION q", "AUTOPILOT_VERSION"),
     ("REQUEST_MESSAGE 148", long(cmd.MAV_CMD_REQUEST_MESSAGE, 148), f"{OK}, AUTOPILOT_VERSION b", f"{OK}, AUTOPILOT_VERSION q", "AUTOPILOT_VERSION"),
@@ -117,10 +117,12 @@ PROBES = [
 
 
 def result(message):
+    """What a message tells: acknowledgements sort before all others."""
     if message.get_type() == ACK:
         name = mavlink.enums["MAV_RESULT"][message.result].name
-        return name.removeprefix("MAV_RESULT_")
-    return message.get_type()
+        return 0, name.removeprefix("MAV_RESULT_")
+    # pymavlink has no name for this one.
+    return 1, "PROTOCOL_VERSION" if message.get_type() == "UNKNOWN_300" else message.get_type()
 
 
 def answer(link, ask, kinds):
@@ -136,7 +138,7 @@ def answer(link, ask, kinds):
     ask(link)
     link.send.ping_send(int(time.time() * 1e6), link.pings, 0, 0)
     link.wait("the answer to a PING", pong)
-    return ", ".join(dict.fromkeys(heard)) or "nothing"
+    return ", ".join(word for _, word in sorted(set(heard))) or "nothing"
 
 
 def drain(link, seconds):
