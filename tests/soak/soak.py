@@ -134,6 +134,7 @@ class Station:
         self.came = time.monotonic()
         self.beat = 0.0
         self.heard = set()
+        self.newest = {}
         self.all_heard = None
         self.pending = None
         self.asked = self.acknowledged = self.repeated = 0
@@ -166,7 +167,10 @@ class Station:
             self.ask()
         if self.pending is not None and now - self.pending[4] > RETRY_S:
             vehicle, number, params, tries, _ = self.pending
-            assert tries < ATTEMPTS, f"command {number} to vehicle {vehicle} was never acknowledged"
+            quiet = now - self.newest.get(vehicle, self.came)
+            assert tries < ATTEMPTS, (
+                f"command {number} to vehicle {vehicle} was never acknowledged; its newest frame is {quiet:.1f} s old"
+            )
             self.repeated += tries > 0
             self.pending[3:] = [tries + 1, now]
             self.send(mavlink.MAVLink_command_long_message(vehicle, 1, number, min(tries, 255), *params))
@@ -183,6 +187,7 @@ class Station:
                 return
             for message in self.reader.parse_buffer(data) or []:
                 kind = message.get_type()
+                self.newest[message.get_srcSystem()] = now
                 if kind == "HEARTBEAT" and message.get_srcComponent() == 1 and self.all_heard is None:
                     self.heard.add(message.get_srcSystem())
                     if len(self.heard & set(range(1, VEHICLES + 1))) == VEHICLES:

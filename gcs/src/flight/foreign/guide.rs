@@ -9,7 +9,7 @@
 //! | arm | COMPONENT_ARM_DISARM 1, again until its checks pass | the same |
 //! | climb | NAV_TAKEOFF | position setpoints above the start |
 //! | flight | speeds with accelerations fed forward, at 20 Hz, mask 3079 | the same |
-//! | end | mode BRAKE | mode HOLD |
+//! | end | mode BRAKE, LAND or RTL | mode HOLD, LAND or RTL |
 //!
 //! A vehicle that flies already is brought to its height by position setpoints. One that leaves its mode by
 //! itself or by an operator's hand, from its arming on, gets no more setpoints; its texts tell which of both it
@@ -37,6 +37,7 @@ use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO};
 use crpl_sitl::radio::message::{Command, Percept};
 
 use super::Foreign;
+use super::field::WhenOver;
 use super::scene::ForeignScene;
 use super::tracking::{Tracker, hold_height};
 use crate::flight::FlightEnd;
@@ -107,7 +108,6 @@ const MASK_SPEED: u16 = 0x0C07;
 const MASK_POSITION: u16 = 0x0DF8;
 const STREAM_ALL: u8 = 0;
 const STREAM_POSITION: u8 = 6;
-const MODE_BRAKE: f32 = 17.0;
 
 /// Something for the shell.
 #[derive(Debug)]
@@ -145,7 +145,8 @@ enum GuidePhase {
     Done,
 }
 
-/// Where the vehicle is, m and m/s in its local frame: north, east, down.
+/// Where the vehicle is, m and m/s in the field's frame: up, right, down, which are north, east, down unless the
+/// field is turned.
 #[derive(Debug, Clone, Copy)]
 struct ReportedPlace {
     position: [f32; 3],
@@ -191,6 +192,8 @@ pub struct Guide {
     complaint: String,
     complained: Duration,
     texts: Texts,
+    /// The mode that it is left in.
+    last: WhenOver,
     /// Why it holds its place, if not because the flight is over.
     failing: Option<(FlightEnd, String)>,
     /// Why it has left its mode, by its heartbeat.
@@ -239,6 +242,7 @@ impl Guide {
             complaint: String::new(),
             complained: Duration::ZERO,
             texts: Texts::default(),
+            last: WhenOver::Hold,
             failing: None,
             left: String::new(),
             airborne: false,
@@ -284,6 +288,7 @@ impl Guide {
         let place = LocalPositionNed::of(packet).filter(|_| packet.component == AUTOPILOT);
         if let Some(LocalPositionNed { time_boot_ms, position, velocity }) = place {
             let boot = self.boot.at(time_boot_ms);
+            let [position, velocity] = [position, velocity].map(|v| self.foreign.field.from_ned(v));
             let place = ReportedPlace { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
@@ -525,7 +530,7 @@ impl Guide {
             GuidePhase::Left => return,
             // Where it is does not matter for this.
             GuidePhase::Braking => {
-                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now);
+                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.last.mode(self.foreign.stack), now);
             }
             _ => {}
         }
@@ -620,7 +625,7 @@ impl Guide {
 
     /// Says before the vehicle moves where it will fly.
     fn announce(&mut self) {
-        self.say(super::FlightPlan::of(&self.scenario).to_string());
+        self.say(super::FlightPlan::of(&self.scenario, self.foreign.field).to_string());
     }
 
     fn ask_once(&mut self, command: MavCmd, params: &[f32], now: Duration) {
@@ -639,14 +644,6 @@ impl Guide {
         match self.foreign.stack {
             ForeignStack::Ardupilot => [1.0, 4.0],
             ForeignStack::Px4 => [1.0, 6.0],
-        }
-    }
-
-    /// BRAKE; or AUTO's LOITER, which PX4's stations call Hold.
-    fn hold_mode(&self) -> [f32; 3] {
-        match self.foreign.stack {
-            ForeignStack::Ardupilot => [1.0, MODE_BRAKE, 0.0],
-            ForeignStack::Px4 => [1.0, 4.0, 3.0],
         }
     }
 
@@ -706,6 +703,9 @@ impl Guide {
         if outside > FENCE {
             let metres = outside * self.scenario.scale.metres_per_unit;
             self.say(format!("{metres:.0} m outside the field, out of the camera's sight: it is stopped"));
+        }
+        if over && outside <= FENCE {
+            self.last = self.foreign.over;
         }
         if outside > FENCE || over {
             self.wish = [0.0; 2];
@@ -822,6 +822,7 @@ impl Guide {
             _ => return,
         };
         message.type_mask = PositionTargetTypemask::from_bits_retain(mask);
+        self.foreign.field.turn(&mut message);
         self.station.push(datagram, &message);
     }
 }
