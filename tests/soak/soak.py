@@ -13,6 +13,7 @@ kept:
 """
 
 import argparse
+import atexit
 import os
 import random
 import select
@@ -53,6 +54,8 @@ class Program:
     def __init__(self, *words):
         self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.said = []
+        # Whatever ends this script ends its programs.
+        atexit.register(self.process.kill)
         for stream in (self.process.stdout, self.process.stderr):
             threading.Thread(target=self._read, args=(stream,), daemon=True).start()
 
