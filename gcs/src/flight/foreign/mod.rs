@@ -302,7 +302,7 @@ async fn pass_on(hub: &mut Hub, guide: &mut Guide, start: Instant, options: &Opt
 
 async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd, why: String) -> Flight {
     hub.close().await;
-    let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
+    let lost = hub.router().vehicle_lost();
     Flight {
         ended,
         why,
