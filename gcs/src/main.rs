@@ -23,7 +23,7 @@ use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
-use crpl_sitl::program::terminal::{self, ExitWith, folder, positive};
+use crpl_sitl::program::terminal::{self, ExitWith, folder, positive, speed};
 use crpl_sitl::scenario::presets;
 
 /// A ground station that flies a UAV from camera frames over MAVLink: CRPL and its baselines.
@@ -98,7 +98,7 @@ struct Demo {
     #[arg(long, value_enum, default_value = "lockstep")]
     pace: Pace,
     /// Speed relative to real time, with --pace realtime
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     /// The vehicle refuses unsigned messages and stores its own key in FILE.1
@@ -158,7 +158,7 @@ struct Fly {
     #[arg(long)]
     yes: bool,
     /// Speed of a foreign vehicle's simulator relative to real time
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
