@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
+use crpl_gcs::flight::foreign::field::{FieldFrame, WhenOver};
 use crpl_gcs::flight::foreign::guide::ForeignStack;
 use crpl_gcs::flight::foreign::{self, FlightPlan, Foreign};
 use crpl_gcs::flight::{self, Options, world};
@@ -22,7 +23,7 @@ use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
-use crpl_sitl::program::terminal::{self, ExitWith, folder, positive};
+use crpl_sitl::program::terminal::{self, ExitWith, folder, positive, speed};
 use crpl_sitl::scenario::presets;
 
 /// A ground station that flies a UAV from camera frames over MAVLink: CRPL and its baselines.
@@ -97,7 +98,7 @@ struct Demo {
     #[arg(long, value_enum, default_value = "lockstep")]
     pace: Pace,
     /// Speed relative to real time, with --pace realtime
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     /// The vehicle refuses unsigned messages and stores its own key in FILE.1
@@ -144,6 +145,12 @@ struct Fly {
     /// Side of the square that a foreign vehicle flies in, m [default: the scenario's]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     field: Option<f64>,
+    /// Where the upper edge of a foreign vehicle's field lies, degrees clockwise from north
+    #[arg(long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
+    heading: f64,
+    /// What a foreign vehicle does when its flight is over
+    #[arg(long, value_enum, default_value = "hold")]
+    end: WhenOver,
     /// Say where a foreign vehicle would fly, and end
     #[arg(long)]
     dry_run: bool,
@@ -151,7 +158,7 @@ struct Fly {
     #[arg(long)]
     yes: bool,
     /// Speed of a foreign vehicle's simulator relative to real time
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
@@ -181,6 +188,14 @@ struct Fly {
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+/// A flag's value: a direction.
+fn degrees(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (-360.0..=360.0).contains(&x) => Ok(x),
+        _ => Err("must be a number of degrees from -360 to 360".into()),
+    }
 }
 
 /// The autopilot whose protocol a vehicle follows.
@@ -249,7 +264,7 @@ async fn fly(args: Fly) -> Result<()> {
             let mut scenario = args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?;
             scenario.scale.altitude_m = args.altitude.unwrap_or(scenario.scale.altitude_m);
             scenario.scale.metres_per_unit = args.field.unwrap_or(scenario.scale.metres_per_unit);
-            let plan = FlightPlan::of(&scenario);
+            let plan = FlightPlan::of(&scenario, FieldFrame::heading(args.heading));
             if args.dry_run {
                 crpl_sitl::outln!("{plan}");
                 return Ok(());
@@ -280,7 +295,9 @@ async fn fly(args: Fly) -> Result<()> {
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
     let flown = match (foreign, session) {
         (Some(stack), _) => {
-            let how = Foreign { stack, system: args.sysid, speed: args.speed, identity: args.identity };
+            let field = FieldFrame::heading(args.heading);
+            let Fly { sysid: system, speed, identity, end: over, .. } = args;
+            let how = Foreign { stack, system, speed, identity, field, over };
             let flown;
             (flown, crew) = foreign::fly(&args.connect, &scenario, &how, &options, crew).await?;
             flown

@@ -111,6 +111,8 @@ pub struct Autopilot {
     pub heights: [f64; 2],
     /// Commands for a mode that get lost: so many.
     pub deaf_to_modes: u32,
+    /// What its clock is ahead of the time since it started, ms: one that runs for 49.7 days begins at 0 again.
+    pub clock_ahead_ms: u32,
 }
 
 impl Autopilot {
@@ -147,6 +149,7 @@ impl Autopilot {
             fastest: 0.0,
             heights: [f64::INFINITY, f64::NEG_INFINITY],
             deaf_to_modes: 0,
+            clock_ahead_ms: 0,
         }
     }
 
@@ -327,7 +330,7 @@ impl Autopilot {
             self.next_report = self.time + period;
             let [x, y, z] = self.position.map(|v| v as f32);
             let [vx, vy, vz] = self.velocity.map(|v| v as f32);
-            let time_boot_ms = (self.time * 1e3) as u32;
+            let time_boot_ms = self.clock_ahead_ms.wrapping_add((self.time * 1e3) as u32);
             let message = LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
             self.encoder.push(&mut self.out, &message);
         }

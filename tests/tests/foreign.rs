@@ -5,12 +5,13 @@
 
 use std::time::Duration;
 
+use crpl_gcs::flight::FlightEnd;
 use crpl_gcs::flight::foreign::Foreign;
+use crpl_gcs::flight::foreign::field::{FieldFrame, WhenOver};
 use crpl_gcs::flight::foreign::guide::{self, Guide, GuideEvent};
 use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
-use crpl_gcs::tools::identity::Identity;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
@@ -41,14 +42,21 @@ fn story(stacks: (Stack, guide::ForeignStack), meddle: impl FnMut(f64, &mut Auto
 }
 
 fn story_of(
-    mut autopilot: Autopilot,
+    autopilot: Autopilot,
     stack: guide::ForeignStack,
+    meddle: impl FnMut(f64, &mut Autopilot, &Guide),
+) -> Story {
+    story_with(autopilot, Foreign::new(stack), meddle)
+}
+
+fn story_with(
+    mut autopilot: Autopilot,
+    how: Foreign,
     mut meddle: impl FnMut(f64, &mut Autopilot, &Guide),
 ) -> Story {
     let scenario = scenario();
     let models = Models::load(None, None).unwrap();
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
-    let how = Foreign { stack, system: None, speed: 1.0, identity: Identity::default() };
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
     let (mut said, mut flying) = (Vec::new(), None);
     for k in 0_u32..30_000 {
@@ -177,6 +185,58 @@ fn a_mode_that_is_changed_during_the_climb_ends_the_flight() {
     }
 }
 
+/// Report A6: a field whose upper edge is not north, and another end than BRAKE.
+#[test]
+fn a_field_lies_as_it_is_told_and_the_flight_ends_as_it_is_told() {
+    for (fake, stack, name) in STACKS {
+        for (over, mode) in
+            [(WhenOver::Land, [9, 4 << 16 | 6 << 24]), (WhenOver::Rtl, [6, 4 << 16 | 5 << 24])]
+        {
+            let (field, start) = (FieldFrame::heading(90.0), [-7.0, 21.0]);
+            let how = Foreign { field, over, ..Foreign::new(stack) };
+            let story = story_with(Autopilot::new(fake, start, true), how, |_, _, _| {});
+            assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?} {:?}", story.end, story.said);
+            let score = story.station.score().unwrap();
+            assert!(score.is(FlightOutcome::Reached), "{name}: {score:?}");
+            // Right is south, up is east.
+            let scenario = scenario();
+            let way = (scenario.goal - scenario.start) * scenario.scale.metres_per_unit;
+            let [north, east, _] = story.autopilot.position();
+            let missed = (north - (start[0] - way.x)).hypot(east - (start[1] + way.y));
+            assert!(missed < 4.0, "{name}: {missed} m from the goal");
+            assert_eq!(story.autopilot.mode(), mode[usize::from(fake == Stack::Px4)], "{name}");
+            assert!(
+                story.said.iter().any(|text| text.contains("up is 90 degrees")),
+                "{name}: {:?}",
+                story.said
+            );
+        }
+    }
+}
+
+/// The milliseconds of a vehicle that has run for 49.7 days begin at 0 again: that is no restart.
+#[test]
+fn a_flight_goes_on_when_the_vehicle_s_stamps_come_round() {
+    let mut autopilot = Autopilot::new(Stack::ArduPilot, [-7.0, 21.0], true);
+    autopilot.clock_ahead_ms = u32::MAX - 40_000;
+    let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+    assert!(matches!(story.end, GuideEvent::Holding), "{:?} {:?}", story.end, story.said);
+    let score = story.station.score().unwrap();
+    assert!(score.is(FlightOutcome::Reached) && score.ticks == scenario().horizon, "{score:?}");
+}
+
+/// A clock that is set by months in flight was followed, interval by interval.
+#[test]
+fn a_clock_that_is_set_in_flight_ends_it() {
+    let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
+        if autopilot.accelerations == 100 {
+            autopilot.clock_ahead_ms = 2_000_000_000;
+        }
+    });
+    let GuideEvent::Failed(FlightEnd::Rebooted, why) = &story.end else { panic!("{:?}", story.end) };
+    assert!(why.contains("clock was set"), "{why}");
+}
+
 /// Report A10: failsafes and crashes were "the operator has taken over".
 #[test]
 fn a_failsafe_and_a_crash_are_not_the_operator_s_doing() {
@@ -207,7 +267,7 @@ fn a_late_decision_keeps_the_setpoints_coming_and_the_vehicle_brakes() {
     let mut station = models.station(Controller::Crpl, &scenario).unwrap();
     let mut autopilot = Autopilot::new(Stack::ArduPilot, [0.0; 2], false);
     let stack = guide::ForeignStack::Ardupilot;
-    let how = Foreign { stack, system: None, speed: 1.0, identity: Identity::default() };
+    let how = Foreign::new(stack);
     let mut guide = Guide::new(scenario.clone(), &how, scenario.horizon);
     // The fifth decision takes six seconds.
     let (mut asked, mut held, mut during) = (0, None, None);

@@ -549,7 +549,7 @@ impl<'a> FlightShell<'a> {
         self.hub.close().await;
         let suppressed_setpoints =
             self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());
-        let lost = self.hub.rows().iter().map(|row| row.counters.lost()).sum();
+        let lost = self.hub.router().vehicle_lost();
         let (packets, rejected_messages) = (self.hub.counts(), self.remote.rejected_messages());
         let log_error = self.hub.log_error().map(str::to_owned);
         let why = why.to_owned();

@@ -51,7 +51,7 @@ pub struct Summary {
     pub latency_ms: Latency,
     /// Simulated over real time.
     pub real_time_factor: f64,
-    /// Frames that the link has lost, by their sequence numbers.
+    /// Frames of the vehicle that the link has lost, by their sequence numbers.
     pub frames_lost: u64,
     /// How the flight has ended.
     pub ended: FlightEnded,

@@ -26,7 +26,7 @@ use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::tlog::LogFrame;
 use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_SYSTEM};
-use crpl_sitl::program::terminal::{interrupted, positive};
+use crpl_sitl::program::terminal::{interrupted, speed};
 use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::geodesy;
@@ -37,6 +37,8 @@ use crate::tools::tlog;
 
 /// A pause that is longer is announced.
 const LONG: Duration = Duration::from_secs(10);
+/// No flight lasts longer, s: 100 years.
+const LONGEST_RECORD_S: f64 = 3.2e9;
 /// MAV_TYPE_GCS.
 const GCS: u8 = 6;
 
@@ -49,7 +51,7 @@ pub struct Replay {
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
     forward: Vec<Endpoint>,
     /// Speed relative to the recorded flight
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
     #[arg(long, value_name = "FILE")]
@@ -89,7 +91,8 @@ pub async fn run(args: Replay) -> Result<()> {
     }
     let start = Instant::now();
     for (after, bytes) in &script {
-        let due = start + after.div_f64(args.speed);
+        let due =
+            start.checked_add(after.div_f64(args.speed)).context("the log lasts too long at this speed")?;
         let pause = due.saturating_duration_since(Instant::now());
         if pause > LONG {
             tracing::info!("the log has a pause here: {:.0} s until the next message", pause.as_secs_f64());
@@ -170,15 +173,22 @@ fn scenario_beside(path: &Path) -> Result<Scenario> {
     Ok(Scenario::default())
 }
 
-fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
+/// The records of a flight, told as the vehicle told them.
+///
+/// # Errors
+/// A line is no record.
+pub fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
     let clock = Clock::new(scenario);
     let (mut autopilot, mut radio) = (Encoder::new(1, AUTOPILOT), Encoder::new(1, RADIO));
     let mut script = Script::new();
     let mut next_beat = 0.0;
     for (k, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let record: Record = serde_json::from_str(line).with_context(|| format!("line {}", k + 1))?;
-        let report = report(&record, scenario);
         let seconds = record.tick.0 as f64 * scenario.scale.interval_s;
+        if seconds > LONGEST_RECORD_S {
+            bail!("line {}: tick {} is no flight's", k + 1, record.tick.0);
+        }
+        let report = report(&record, scenario);
         let mut datagram = Vec::new();
         if seconds >= next_beat {
             next_beat = seconds + 1.0;
@@ -352,5 +362,11 @@ mod tests {
         let error =
             crpl_sitl::program::terminal::one_line(&from_records("{\"tick\":1}", &scenario).unwrap_err());
         assert!(error.starts_with("line 1: missing field"), "{error}");
+        let first = lines.lines().next().unwrap().to_owned();
+        for tick in [u64::MAX, 1 << 63] {
+            let late = first.replace("\"tick\":0,", &format!("\"tick\":{tick},"));
+            let error = from_records(&late, &scenario).unwrap_err().to_string();
+            assert_eq!(error, format!("line 1: tick {tick} is no flight's"));
+        }
     }
 }

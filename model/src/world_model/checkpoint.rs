@@ -59,11 +59,43 @@ impl WorldModel {
     /// # Errors
     /// If a file is missing, does not parse, or holds a tensor of another shape.
     pub fn load(dir: &Path) -> Result<Self, CheckpointError> {
-        let model = parse(&tensors::read(&dir.join(TENSORS))?, &tensors::read(&dir.join(CONFIG))?, dir)?;
+        let files = (tensors::read(&dir.join(TENSORS))?, tensors::read(&dir.join(CONFIG))?);
+        let model = Self::from_bytes(&files.0, &files.1, dir)?;
         match model.card.config.predictor.kind {
             PredictorKind::Linear => Ok(model),
             kind => model.with_predictor(kind, &Networks::load(dir)?),
         }
+    }
+
+    /// The world model of the bytes of its two files; `dir` names them in errors.
+    ///
+    /// # Errors
+    /// The bytes do not parse, or hold a tensor of another shape.
+    pub fn from_bytes(tensors: &[u8], config: &[u8], dir: &Path) -> Result<Self, CheckpointError> {
+        let path = dir.join(CONFIG);
+        let card: Card = serde_json::from_slice(config)
+            .map_err(|e| CheckpointError::Config { path: path.clone(), message: e.to_string() })?;
+        if card.format != FORMAT {
+            let message = format!("format is `{}`, expected `{FORMAT}`", card.format);
+            return Err(CheckpointError::Config { path, message });
+        }
+        let from = Reader::new(tensors, dir.join(TENSORS))?;
+        let columns = |name: &str| -> Result<[[f32; 2]; LATENT], TensorError> {
+            let e = from.f32(name, &[LATENT, 2])?;
+            Ok(std::array::from_fn(|k| [e[2 * k], e[2 * k + 1]]))
+        };
+        let (plane_c, linear) = (columns("plane_c")?, Linear::get(&from)?);
+        Ok(Self {
+            encoder: Stored::get(&from)?,
+            plane_c,
+            plane_u: columns("plane_u")?,
+            scale: from.f64("scale", &[1])?[0],
+            predictor: Predictor::Linear(linear.controllable(&plane(&plane_c))),
+            linear,
+            heads: Stored::get(&from)?,
+            probe: Stored::get(&from)?,
+            card,
+        })
     }
 
     /// The same world model with another predictor of the controllable half.
@@ -121,7 +153,7 @@ impl WorldModel {
                 include_bytes!("../../pretrained/learned/config.json"),
             ),
         };
-        parse(tensors, config, &Path::new("built-in").join(which.name()))
+        Self::from_bytes(tensors, config, &Path::new("built-in").join(which.name()))
     }
 
     /// The model that `--checkpoint` names: `centroid` or `learned`, which are built in, or a folder.
@@ -176,31 +208,4 @@ fn put_planning(model: &WorldModel, out: &mut Writer) {
     model.linear.put(out);
     model.probe.put(out);
     model.heads.put(out);
-}
-
-fn parse(tensors: &[u8], config: &[u8], dir: &Path) -> Result<WorldModel, CheckpointError> {
-    let path = dir.join(CONFIG);
-    let card: Card = serde_json::from_slice(config)
-        .map_err(|e| CheckpointError::Config { path: path.clone(), message: e.to_string() })?;
-    if card.format != FORMAT {
-        let message = format!("format is `{}`, expected `{FORMAT}`", card.format);
-        return Err(CheckpointError::Config { path, message });
-    }
-    let from = Reader::new(tensors, dir.join(TENSORS))?;
-    let columns = |name: &str| -> Result<[[f32; 2]; LATENT], TensorError> {
-        let e = from.f32(name, &[LATENT, 2])?;
-        Ok(std::array::from_fn(|k| [e[2 * k], e[2 * k + 1]]))
-    };
-    let (plane_c, linear) = (columns("plane_c")?, Linear::get(&from)?);
-    Ok(WorldModel {
-        encoder: Stored::get(&from)?,
-        plane_c,
-        plane_u: columns("plane_u")?,
-        scale: from.f64("scale", &[1])?[0],
-        predictor: Predictor::Linear(linear.controllable(&plane(&plane_c))),
-        linear,
-        heads: Stored::get(&from)?,
-        probe: Stored::get(&from)?,
-        card,
-    })
 }

@@ -6,6 +6,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
+//! | [`boot_time`] | stamps that begin at 0 again |
 //! | [`crc`] | the checksum of frames |
 //! | [`packet`] | a packet, borrowed or owned; its header |
 //! | [`splitter`] | bytes to packets, uncopied, through garbage, bad CRCs and packets cut in two |
@@ -21,6 +22,7 @@
 //! | [`signing`] | signatures, the key and its file |
 //! | [`tlog`] | the log that every MAVLink tool reads |
 
+pub mod boot_time;
 pub mod crc;
 pub mod decoder;
 pub mod encoder;

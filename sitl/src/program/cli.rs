@@ -14,7 +14,7 @@ use crate::link::signing::{Policy, Signing, Store};
 use crate::program::camera::CameraFlag;
 use crate::program::fleet;
 use crate::program::shell::{Ended, LINKS, Shell};
-use crate::program::terminal::{Signals, positive, say};
+use crate::program::terminal::{Signals, say, speed};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Scenario, presets};
 use crate::vehicle::geodesy::Home;
@@ -56,7 +56,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "realtime")]
     pub pace: Pace,
     /// Speed relative to real time, with --pace realtime
-    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     pub speed: f64,
     /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]

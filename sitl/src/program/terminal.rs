@@ -318,6 +318,28 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A flag's value: a speed relative to real time, by which times are divided.
+///
+/// # Errors
+/// The text is no number from 1e-6 to 1e9.
+pub fn speed(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (1e-6..=1e9).contains(&x) => Ok(x),
+        _ => Err("must be a number above 0: from 1e-6 to 1e9".into()),
+    }
+}
+
+/// A flag's value: a time, 0 to a day.
+///
+/// # Errors
+/// The text is no such number of seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if (0.0..=86_400.0).contains(&x) => Ok(x),
+        _ => Err("must be a number of seconds from 0 to 86400".into()),
+    }
+}
+
 /// A flag's value: a folder. An endpoint in its place, as `--out` once took it, is an error.
 ///
 /// # Errors
@@ -349,6 +371,15 @@ mod tests {
         assert!(complaint_about(&["--sped", "2"]).starts_with("error: unexpected argument '--sped'"));
         let line = complaint_about(&["--speed", "0"]);
         assert!(line.contains("--speed <X>") && line.contains("must be a number above 0"), "{line}");
+    }
+
+    /// `gcs replay --speed 1e-300` panicked: a time divided by it is none.
+    #[test]
+    fn speeds_and_times_are_what_a_duration_holds() {
+        for text in ["1e-300", "1e300", "0", "-1", "nan", "inf", "x"] {
+            assert!(speed(text).is_err() && (text == "0" || seconds(text).is_err()), "{text}");
+        }
+        assert_eq!((speed("1e-6"), speed("1e9"), seconds("0")), (Ok(1e-6), Ok(1e9), Ok(0.0)));
     }
 
     #[test]

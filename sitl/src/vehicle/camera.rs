@@ -8,7 +8,9 @@
 //! | IMAGE_STOP_CAPTURE (2001) | ACCEPTED |
 //! | REQUEST_CAMERA_IMAGE_CAPTURE (2002): param1 an index, -1 the newest | ACCEPTED, then CAMERA_IMAGE_CAPTURED; no such picture: DENIED |
 //! | SET_CAMERA_MODE (530) | ACCEPTED for images, DENIED for video |
-//! | VIDEO_START_CAPTURE and other camera commands | UNSUPPORTED |
+//! | VIDEO_START_CAPTURE (2500) | ACCEPTED; the picture of every interval, by the image transmission protocol, to the asker; CAMERA_CAPTURE_STATUS tells it when it is asked for |
+//! | VIDEO_STOP_CAPTURE (2501) | ACCEPTED; the asker's pictures end |
+//! | other camera commands | UNSUPPORTED |
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -16,7 +18,8 @@ use std::time::Duration;
 use super::Vehicle;
 use super::messages::{self, VehicleState};
 use crate::link::dialect::{self, MavBool, MavResult};
-use crate::link::wire::Ask;
+use crate::link::image::ImageRequest;
+use crate::link::wire::{Ask, Clock};
 use crate::link::{CAMERA, MessageData, PeerId};
 use crate::units::Tick;
 
@@ -28,8 +31,10 @@ const CMD_SET_MODE: u16 = 530;
 const CMD_START_CAPTURE: u16 = 2000;
 const CMD_STOP_CAPTURE: u16 = 2001;
 const CMD_REQUEST_CAPTURE: u16 = 2002;
+const CMD_START_VIDEO: u16 = 2500;
+const CMD_STOP_VIDEO: u16 = 2501;
 /// All commands of this module.
-pub(super) const COMMANDS: [u16; 8] = [
+pub(super) const COMMANDS: [u16; 10] = [
     CMD_REQUEST_INFORMATION,
     CMD_REQUEST_SETTINGS,
     CMD_REQUEST_STORAGE,
@@ -38,6 +43,8 @@ pub(super) const COMMANDS: [u16; 8] = [
     CMD_START_CAPTURE,
     CMD_STOP_CAPTURE,
     CMD_REQUEST_CAPTURE,
+    CMD_START_VIDEO,
+    CMD_STOP_VIDEO,
 ];
 const ACCEPTED: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 const DENIED: MavResult = MavResult::MAV_RESULT_DENIED;
@@ -52,6 +59,8 @@ pub(super) struct Shots {
     taken: VecDeque<dialect::CAMERA_IMAGE_CAPTURED_DATA>,
     count: i32,
     series: Option<ShotSeries>,
+    /// Since when there is a video.
+    video: Option<Tick>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -67,9 +76,12 @@ struct ShotSeries {
 
 impl Shots {
     /// CAMERA_CAPTURE_STATUS.
-    pub fn status(&self, time_boot_ms: u32) -> dialect::CAMERA_CAPTURE_STATUS_DATA {
+    pub fn status(&self, clock: &Clock, now: Tick) -> dialect::CAMERA_CAPTURE_STATUS_DATA {
+        let time_boot_ms = clock.boot_ms(now);
         dialect::CAMERA_CAPTURE_STATUS_DATA {
             time_boot_ms,
+            video_status: u8::from(self.video.is_some()),
+            recording_time_ms: self.video.map_or(0, |since| time_boot_ms.wrapping_sub(clock.boot_ms(since))),
             image_interval: self.series.map_or(0.0, |series| series.seconds),
             // 2: a series is under way, between two pictures.
             image_status: if self.series.is_some() { 2 } else { 0 },
@@ -109,6 +121,14 @@ impl Vehicle {
             }
             CMD_REQUEST_CAPTURE if shot.is_none() => DENIED,
             CMD_SET_MODE if second != 0.0 => DENIED,
+            CMD_START_VIDEO => {
+                self.shots.video.get_or_insert(self.sim.tick());
+                ACCEPTED
+            }
+            CMD_STOP_VIDEO => {
+                self.shots.video = None;
+                ACCEPTED
+            }
             _ => ACCEPTED,
         };
         self.ack(ask.command, result, component, asker, from);
@@ -118,8 +138,11 @@ impl Vehicle {
         if let Some(shot) = shot {
             self.tell_shot(&shot, Some(from));
         }
-        if result == ACCEPTED && ask.command == CMD_START_CAPTURE {
-            self.take_shots(now);
+        match ask.command {
+            CMD_START_CAPTURE if result == ACCEPTED => self.take_shots(now),
+            CMD_START_VIDEO => self.image_request(ImageRequest::Start, from, now),
+            CMD_STOP_VIDEO => self.image_request(ImageRequest::Stop, from, now),
+            _ => {}
         }
     }
 

@@ -233,7 +233,7 @@ impl Vehicle {
         }
     }
 
-    fn image_request(&mut self, request: ImageRequest, from: PeerId, now: Duration) {
+    pub(super) fn image_request(&mut self, request: ImageRequest, from: PeerId, now: Duration) {
         let Some(peer) = self.peers.get_mut(&from) else { return };
         match request {
             ImageRequest::Start => {

@@ -471,7 +471,7 @@ fn protocol(_: &VehicleState) -> dialect::PROTOCOL_VERSION_DATA {
     dialect::PROTOCOL_VERSION_DATA { version: 200, min_version: 200, max_version: 200, ..Default::default() }
 }
 
-/// CAMERA_INFORMATION: it takes pictures, and has no lens whose length there would be.
+/// CAMERA_INFORMATION: it takes pictures and videos in its only mode, and has no lens whose length there would be.
 fn camera_information(state: &VehicleState) -> dialect::CAMERA_INFORMATION_DATA {
     let name = |text: &str| {
         let mut bytes = [0; 32];
@@ -484,7 +484,9 @@ fn camera_information(state: &VehicleState) -> dialect::CAMERA_INFORMATION_DATA 
         focal_length: f32::NAN,
         sensor_size_h: f32::NAN,
         sensor_size_v: f32::NAN,
-        flags: CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_IMAGE,
+        flags: CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_IMAGE
+            | CameraCapFlags::CAMERA_CAP_FLAGS_CAPTURE_VIDEO
+            | CameraCapFlags::CAMERA_CAP_FLAGS_CAN_CAPTURE_VIDEO_IN_IMAGE_MODE,
         resolution_h: SIDE as u16,
         resolution_v: SIDE as u16,
         vendor_name: name("CRPL"),

@@ -90,7 +90,7 @@ impl Vehicle {
             height: self.height,
             heading: self.heading,
             site: self.site,
-            shots: self.shots.status(self.clock.boot_ms(self.sim.tick())),
+            shots: self.shots.status(&self.clock, self.sim.tick()),
             fence: self.fence.status(self.fence_action),
             system_status: self.system_status(),
             mission: self.plan.status(self.conduct.mode == Mode::Auto),

@@ -55,6 +55,20 @@ fn pymavlink_flies_by_positions_and_velocities_anywhere() {
     assert!(said.ends_with("ok"), "{said}");
 }
 
+/// What `sitl` answers to sixty messages is what docs/probes.md says, beside what ArduCopter and PX4 answer.
+#[test]
+fn pymavlink_probes_the_vehicle() {
+    let (_sitl, address) = program::sitl(&["--open"]).unwrap();
+    let said = python::script("probes.py", &[address.to_string()]).unwrap().good().unwrap();
+    let page = fs::read_to_string(program::workspace().join("docs/probes.md")).unwrap();
+    let table = page.split_once("| | what is asked |").unwrap().1;
+    let told = said.split_once("| | what is asked |").unwrap().1;
+    for (wanted, told) in table.trim().lines().zip(told.trim().lines()) {
+        assert_eq!(told, wanted);
+    }
+    assert_eq!(table.trim().lines().count(), told.trim().lines().count());
+}
+
 /// A mission goes up, comes down again, is flown to its end; what cannot be flown is refused.
 #[test]
 fn pymavlink_has_a_mission_flown() {

@@ -9,7 +9,7 @@
 //! | arm | COMPONENT_ARM_DISARM 1, again until its checks pass | the same |
 //! | climb | NAV_TAKEOFF | position setpoints above the start |
 //! | flight | speeds with accelerations fed forward, at 20 Hz, mask 3079 | the same |
-//! | end | mode BRAKE | mode HOLD |
+//! | end | mode BRAKE, LAND or RTL | mode HOLD, LAND or RTL |
 //!
 //! A vehicle that flies already is brought to its height by position setpoints. One that leaves its mode by
 //! itself or by an operator's hand, from its arming on, gets no more setpoints; its texts tell which of both it
@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use crpl_sitl::Scenario;
+use crpl_sitl::link::boot_time::BootTime;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
     ATTITUDE_DATA, BATTERY_STATUS_DATA, COMMAND_LONG_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA,
@@ -36,6 +37,7 @@ use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO};
 use crpl_sitl::radio::message::{Command, Percept};
 
 use super::Foreign;
+use super::field::WhenOver;
 use super::scene::ForeignScene;
 use super::tracking::{Tracker, hold_height};
 use crate::flight::FlightEnd;
@@ -92,6 +94,8 @@ const LOGGED: [(u32, f32); 5] = [
 ];
 /// How far back the vehicle's clock goes only if it has started anew.
 const RESTART: Duration = Duration::from_secs(2);
+/// How far it goes ahead only if it was set.
+const CLOCK_SET: Duration = Duration::from_secs(600);
 /// How far the vehicle may leave the paper's square, in its units: there the camera sees it no more.
 const FENCE: f64 = 0.1;
 /// At the height, m, and at rest, m/s: good enough to begin.
@@ -104,7 +108,6 @@ const MASK_SPEED: u16 = 0x0C07;
 const MASK_POSITION: u16 = 0x0DF8;
 const STREAM_ALL: u8 = 0;
 const STREAM_POSITION: u8 = 6;
-const MODE_BRAKE: f32 = 17.0;
 
 /// Something for the shell.
 #[derive(Debug)]
@@ -142,7 +145,8 @@ enum GuidePhase {
     Done,
 }
 
-/// Where the vehicle is, m and m/s in its local frame: north, east, down.
+/// Where the vehicle is, m and m/s in the field's frame: up, right, down, which are north, east, down unless the
+/// field is turned.
 #[derive(Debug, Clone, Copy)]
 struct ReportedPlace {
     position: [f32; 3],
@@ -168,6 +172,7 @@ pub struct Guide {
     commands: CommandQueue,
     system: Option<u8>,
     place: Option<ReportedPlace>,
+    boot: BootTime,
     /// Where it stood before it climbed.
     ground: [f32; 3],
     scene: Option<ForeignScene>,
@@ -187,6 +192,8 @@ pub struct Guide {
     complaint: String,
     complained: Duration,
     texts: Texts,
+    /// The mode that it is left in.
+    last: WhenOver,
     /// Why it holds its place, if not because the flight is over.
     failing: Option<(FlightEnd, String)>,
     /// Why it has left its mode, by its heartbeat.
@@ -221,6 +228,7 @@ impl Guide {
             commands: CommandQueue::default(),
             system: foreign.system,
             place: None,
+            boot: BootTime::default(),
             ground: [0.0; 3],
             scene: None,
             tracker: Tracker::new(v_max),
@@ -234,6 +242,7 @@ impl Guide {
             complaint: String::new(),
             complained: Duration::ZERO,
             texts: Texts::default(),
+            last: WhenOver::Hold,
             failing: None,
             left: String::new(),
             airborne: false,
@@ -278,7 +287,8 @@ impl Guide {
     fn packet(&mut self, packet: &Packet, now: Duration) {
         let place = LocalPositionNed::of(packet).filter(|_| packet.component == AUTOPILOT);
         if let Some(LocalPositionNed { time_boot_ms, position, velocity }) = place {
-            let boot = Duration::from_millis(time_boot_ms.into());
+            let boot = self.boot.at(time_boot_ms);
+            let [position, velocity] = [position, velocity].map(|v| self.foreign.field.from_ned(v));
             let place = ReportedPlace { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
@@ -520,7 +530,7 @@ impl Guide {
             GuidePhase::Left => return,
             // Where it is does not matter for this.
             GuidePhase::Braking => {
-                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.hold_mode(), now);
+                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.last.mode(self.foreign.stack), now);
             }
             _ => {}
         }
@@ -615,7 +625,7 @@ impl Guide {
 
     /// Says before the vehicle moves where it will fly.
     fn announce(&mut self) {
-        self.say(super::FlightPlan::of(&self.scenario).to_string());
+        self.say(super::FlightPlan::of(&self.scenario, self.foreign.field).to_string());
     }
 
     fn ask_once(&mut self, command: MavCmd, params: &[f32], now: Duration) {
@@ -634,14 +644,6 @@ impl Guide {
         match self.foreign.stack {
             ForeignStack::Ardupilot => [1.0, 4.0],
             ForeignStack::Px4 => [1.0, 6.0],
-        }
-    }
-
-    /// BRAKE; or AUTO's LOITER, which PX4's stations call Hold.
-    fn hold_mode(&self) -> [f32; 3] {
-        match self.foreign.stack {
-            ForeignStack::Ardupilot => [1.0, MODE_BRAKE, 0.0],
-            ForeignStack::Px4 => [1.0, 4.0, 3.0],
         }
     }
 
@@ -672,6 +674,9 @@ impl Guide {
         if place.boot + RESTART < self.next_tick.saturating_sub(self.period()) {
             return self.fail(FlightEnd::Rebooted, "the vehicle has started anew in flight".into());
         }
+        if place.boot > self.next_tick + CLOCK_SET {
+            return self.fail(FlightEnd::Rebooted, "the vehicle's clock was set in flight".into());
+        }
         if let Some(trip) = self.round_trip().filter(|trip| *trip > 2.0 * LONGEST_TRIP) {
             let why = format!("the link's round trip has grown to {trip:.2} s");
             return self.fail_held(FlightEnd::LinkLost, why, now);
@@ -698,6 +703,9 @@ impl Guide {
         if outside > FENCE {
             let metres = outside * self.scenario.scale.metres_per_unit;
             self.say(format!("{metres:.0} m outside the field, out of the camera's sight: it is stopped"));
+        }
+        if over && outside <= FENCE {
+            self.last = self.foreign.over;
         }
         if outside > FENCE || over {
             self.wish = [0.0; 2];
@@ -814,6 +822,7 @@ impl Guide {
             _ => return,
         };
         message.type_mask = PositionTargetTypemask::from_bits_retain(mask);
+        self.foreign.field.turn(&mut message);
         self.station.push(datagram, &message);
     }
 }

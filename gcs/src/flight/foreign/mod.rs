@@ -5,12 +5,14 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
+//! | [`field`] | how the field lies on the ground, what is done at the end | the flight |
 //! | [`scene`] | telemetry to percepts, commands through the radio gate | protocols |
 //! | [`tracking`] | accelerations that are flown as they were meant, and the height | protocols |
 //! | [`guide`] | mode, arming, climb, setpoints in time | sockets, clocks |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: the vehicle flies by its own clock")]
 
+pub mod field;
 pub mod guide;
 pub mod scene;
 pub mod tracking;
@@ -33,6 +35,7 @@ use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
 use crate::tools::identity::Identity;
+use field::{FieldFrame, WhenOver};
 use guide::{ForeignStack, Guide, GuideEvent};
 
 /// How long a vehicle is asked to hold its place at the end.
@@ -49,6 +52,19 @@ pub struct Foreign {
     pub speed: f64,
     /// Who flies.
     pub identity: Identity,
+    /// How the field lies on the ground.
+    pub field: FieldFrame,
+    /// What the vehicle does when its flight is over.
+    pub over: WhenOver,
+}
+
+impl Foreign {
+    /// The first vehicle that is heard, in real time, in a field to the north.
+    #[must_use]
+    pub fn new(stack: ForeignStack) -> Self {
+        let (identity, field, over) = (Identity::default(), FieldFrame::default(), WhenOver::Hold);
+        Self { stack, system: None, speed: 1.0, identity, field, over }
+    }
 }
 
 /// Where a vehicle will fly.
@@ -60,15 +76,17 @@ pub struct FlightPlan {
     pub field_m: f64,
     /// Largest speed, m/s.
     pub v_max: f64,
+    /// From north to the square's up, degrees clockwise.
+    pub heading: f64,
 }
 
 impl FlightPlan {
-    /// Of a scenario.
+    /// Of a scenario in a field.
     #[must_use]
-    pub fn of(scenario: &Scenario) -> Self {
+    pub fn of(scenario: &Scenario, field: FieldFrame) -> Self {
         let scale = &scenario.scale;
         let v_max = scenario.dynamics.v_max * scale.mps_per_speed();
-        Self { altitude_m: scale.altitude_m, field_m: scale.metres_per_unit, v_max }
+        Self { altitude_m: scale.altitude_m, field_m: scale.metres_per_unit, v_max, heading: field.degrees }
     }
 
     /// Whether it is larger than what is flown without a question.
@@ -80,10 +98,15 @@ impl FlightPlan {
 
 impl std::fmt::Display for FlightPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { altitude_m, field_m, v_max } = self;
+        let Self { altitude_m, field_m, v_max, heading } = self;
+        let up = if *heading == 0.0 {
+            "whose north is up".into()
+        } else {
+            format!("whose up is {heading:.0} degrees from north")
+        };
         write!(
             f,
-            "the vehicle would climb to {altitude_m:.0} m and fly in a square of {field_m:.0} m whose north is up, \
+            "the vehicle would climb to {altitude_m:.0} m and fly in a square of {field_m:.0} m {up}, \
              at {v_max:.1} m/s at most"
         )
     }
@@ -279,7 +302,7 @@ async fn pass_on(hub: &mut Hub, guide: &mut Guide, start: Instant, options: &Opt
 
 async fn end(mut hub: Hub, flight: Flight, ended: FlightEnd, why: String) -> Flight {
     hub.close().await;
-    let lost = hub.rows().iter().map(|row| row.counters.lost()).sum();
+    let lost = hub.router().vehicle_lost();
     Flight {
         ended,
         why,

@@ -26,7 +26,7 @@ use anyhow::Result;
 use crpl_sitl::link::dialect::{HEARTBEAT_DATA, MavAutopilot, MavState, MavType};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::{BRIDGE, STATION_SYSTEM};
-use crpl_sitl::program::terminal::{interrupted, say};
+use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use tokio::time::{Instant, interval_at};
 
 use hub::{Hub, LinkSide};
@@ -94,14 +94,6 @@ pub async fn run(args: Bridge) -> Result<()> {
     hub.close().await;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
     Ok(())
-}
-
-/// A flag's value: 0 to a day.
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if (0.0..=86_400.0).contains(&x) => Ok(x),
-        _ => Err("must be a number of seconds from 0 to 86400".into()),
-    }
 }
 
 /// A word for those who speak only when they are spoken to: no ground station's, which would keep a

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crpl_sitl::link::RADIO;
+use crpl_sitl::link::boot_time::BootTime;
 use crpl_sitl::link::dialect::{LINK_NODE_STATUS_DATA, NAMED_VALUE_FLOAT_DATA, RADIO_STATUS_DATA};
 use crpl_sitl::link::encoder::{DATAGRAM, Encoder};
 use crpl_sitl::link::messages::View;
@@ -77,8 +78,9 @@ pub struct Carrier {
     clock: LinkClock,
     /// The radio's time.
     now: Duration,
-    /// The vehicle's clock at the radio's time 0, ms.
-    boot_ms: Option<u32>,
+    boot: BootTime,
+    /// The vehicle's time at the radio's time 0.
+    began: Option<Duration>,
     tells: Tells,
     encoders: [Encoder; 2],
     next_status: Duration,
@@ -105,7 +107,8 @@ impl Carrier {
             whereabouts,
             clock,
             now: Duration::ZERO,
-            boot_ms: None,
+            boot: BootTime::default(),
+            began: None,
             tells,
             encoders: [(); 2].map(|()| Encoder::new(SIK_SYSTEM, RADIO)),
             next_status: STATUS_PERIOD,
@@ -150,8 +153,9 @@ impl Carrier {
         if self.clock == LinkClock::Vehicle
             && let Some(told) = LocalPositionNed::of(*frame)
         {
-            let since = told.time_boot_ms.saturating_sub(*self.boot_ms.get_or_insert(told.time_boot_ms));
-            self.carry_to(Duration::from_millis(since.into()));
+            let told = self.boot.at(told.time_boot_ms);
+            let since = told.saturating_sub(*self.began.get_or_insert(told));
+            self.carry_to(since);
         }
         self.whereabouts.hear(frame, self.now);
     }
@@ -405,6 +409,16 @@ mod tests {
             assert_eq!((status.noise, status.txbuf), (19, 100));
             assert!(status.rssi > 40, "{status:?}");
         }
+    }
+
+    #[test]
+    fn the_radio_s_time_goes_on_when_the_vehicle_s_stamps_come_round() {
+        let mut carrier = carrier("perfect", LinkClock::Vehicle, Tells::default());
+        let (mut encoder, mut splitter) = (Encoder::new(1, 1), Splitter::default());
+        for stamp in [u32::MAX - 399, 0, 400] {
+            carrier.receive(Way::Down, &mut splitter, &position(&mut encoder, stamp, 500.0), at(0.0));
+        }
+        assert_eq!(carrier.now(), at(0.8));
     }
 
     #[test]

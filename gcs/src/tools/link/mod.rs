@@ -38,7 +38,7 @@ use crpl_sitl::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links, UdpPe
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
-use crpl_sitl::program::terminal::{interrupted, positive, say};
+use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::radio::air::config::table;
 use crpl_sitl::radio::air::track::GeometryTrack;
@@ -96,7 +96,7 @@ pub struct RadioLink {
     #[arg(long)]
     summary: bool,
     /// Tell commands that arrive later than this
-    #[arg(long, value_name = "SECONDS", default_value = "0.5", value_parser = positive)]
+    #[arg(long, value_name = "SECONDS", default_value = "0.5", value_parser = seconds)]
     late: f64,
     /// Send neither RADIO_STATUS nor SNR_DB
     #[arg(long)]

@@ -210,7 +210,11 @@ pub fn read(path: &Path) -> Result<MissionPlan> {
     parse(&text).with_context(|| path.display().to_string())
 }
 
-fn parse(text: &str) -> Result<MissionPlan> {
+/// Reads a text of either kind.
+///
+/// # Errors
+/// It is no mission: the error names the line.
+pub fn parse(text: &str) -> Result<MissionPlan> {
     let text = text.trim_start_matches('\u{feff}');
     if text.trim_start().starts_with('{') {
         return parse_plan(text);

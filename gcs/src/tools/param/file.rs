@@ -34,7 +34,11 @@ pub fn read(path: &Path) -> Result<Vec<Line>> {
     Ok(lines)
 }
 
-fn parse(text: &str) -> Result<Vec<Line>> {
+/// Reads a text of either kind.
+///
+/// # Errors
+/// A line is no parameter.
+pub fn parse(text: &str) -> Result<Vec<Line>> {
     let mut lines = Vec::new();
     for (k, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let line = line.split('#').next().unwrap_or_default();

@@ -21,6 +21,7 @@ mod setpoint;
 
 pub use setpoint::{Axes, Refusal, Setpoint, SetpointFrame, setpoint_of};
 
+use super::boot_time::step_ms;
 use super::dialect::{self, MavFrame, PositionTargetTypemask};
 use super::encoder::Encoder;
 use super::messages::command::{CommandInt, CommandLong};
@@ -107,6 +108,16 @@ impl Clock {
         let ms = now_ms + f64::from(ahead);
         let tick = Tick((ms / interval_ms).round().max(0.0) as u64);
         (ms >= 0.0 && self.boot_ms(tick) == boot_ms).then_some(tick)
+    }
+
+    /// The tick with this `time_boot_ms` that a vehicle has which was at `before`: its milliseconds may have come
+    /// round meanwhile, or its clock may have begun anew.
+    #[must_use]
+    pub fn tick_after(&self, boot_ms: u32, before: Option<Tick>) -> Option<Tick> {
+        match before.filter(|&before| step_ms(self.boot_ms(before), boot_ms).is_some()) {
+            Some(before) => self.tick_near(boot_ms, before),
+            None => self.tick(boot_ms),
+        }
     }
 
     /// Length of a control interval, seconds.
@@ -207,6 +218,8 @@ pub fn push_radio_status(link: &LinkReport, radio: &mut Encoder, datagram: &mut 
 #[derive(Debug, Clone, Default)]
 pub struct TelemetryReader {
     open: Option<Open>,
+    /// Of the newest report that has begun.
+    newest: Option<Tick>,
     malformed: u64,
 }
 
@@ -231,7 +244,8 @@ impl TelemetryReader {
     pub fn push(&mut self, packet: &Packet, clock: &Clock) -> Option<Telemetry> {
         let known = match packet.id {
             dialect::LOCAL_POSITION_NED_DATA::ID => {
-                self.open = Open::begin(packet, clock);
+                self.open = Open::begin(packet, clock, self.newest);
+                self.newest = self.open.as_ref().map(|open| open.tick).or(self.newest);
                 self.open.is_some()
             }
             dialect::POSITION_TARGET_LOCAL_NED_DATA::ID
@@ -259,14 +273,14 @@ impl TelemetryReader {
 }
 
 impl Open {
-    fn begin(packet: &Packet, clock: &Clock) -> Option<Self> {
+    fn begin(packet: &Packet, clock: &Clock, before: Option<Tick>) -> Option<Self> {
         let LocalPositionNed { time_boot_ms, position: [x, y, _], velocity: [vx, vy, _] } =
             LocalPositionNed::of(packet)?;
         Some(Self {
             system: packet.system,
             sequence: packet.sequence,
             boot_ms: time_boot_ms,
-            tick: clock.tick(time_boot_ms)?,
+            tick: clock.tick_after(time_boot_ms, before)?,
             position: finite([x, y])?,
             velocity: finite([vx, vy])?,
             held: None,
@@ -285,7 +299,10 @@ impl Open {
             }
             self.held = Some(if target.type_mask & MASK_IGNORES_ACCEL == 0 {
                 let [north, east, _] = target.acceleration;
-                Some(Held { tick: clock.tick(target.time_boot_ms)?, accel: finite([north, east])? })
+                Some(Held {
+                    tick: clock.tick_after(target.time_boot_ms, Some(self.tick))?,
+                    accel: finite([north, east])?,
+                })
             } else {
                 None
             });

@@ -65,6 +65,24 @@ fn every_obstacle_of_the_scenario_arrives() {
     }
 }
 
+/// After 49.7 days in flight the stamps begin at 0 again, and no report was read any more.
+#[test]
+fn reports_are_read_on_when_the_stamps_come_round() {
+    let round = 2_u64.pow(32) / 400;
+    let ticks = [round - 2, round - 1, round, round + 1, round + 9_000, round];
+    let mut reader = TelemetryReader::default();
+    for tick in ticks {
+        let sent = report(tick);
+        let heard: Vec<_> =
+            packets(&sent).iter().filter_map(|packet| reader.push(packet, &clock())).collect();
+        assert_eq!(heard, [sent], "{tick}");
+    }
+    // A vehicle that has booted anew begins with its first tick.
+    let sent = report(3);
+    let heard: Vec<_> = packets(&sent).iter().filter_map(|packet| reader.push(packet, &clock())).collect();
+    assert_eq!((heard, reader.malformed()), (vec![sent], 0));
+}
+
 prop_compose! {
     fn any_report()(
         tick in 0..1_000_000_u64,

@@ -136,8 +136,45 @@ fn the_camera_says_what_it_is_and_takes_pictures_on_command() {
     assert_eq!(taken, [(1, 1000), (2, 1800), (3, 2600)]);
     let again = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE, 2.0, (7, 100)));
     assert_eq!(ids(&again), [(100, 77), (100, 263)]);
-    let video = bench.send(&ask(MavCmd::MAV_CMD_VIDEO_START_CAPTURE, 0.0, (7, 100)));
-    assert_eq!(acks(&video)[0].1.result, MavResult::MAV_RESULT_UNSUPPORTED);
+    let zoom = bench.send(&ask(MavCmd::MAV_CMD_SET_CAMERA_ZOOM, 0.0, (7, 100)));
+    assert_eq!(acks(&zoom)[0].1.result, MavResult::MAV_RESULT_UNSUPPORTED);
     bench.vehicle.beat();
     assert!(ids(&bench.received()).contains(&(100, 0)), "stations look for its heartbeat");
+}
+
+/// VIDEO_START_CAPTURE was unsupported.
+#[test]
+fn a_video_is_the_picture_of_every_interval() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let status = |bench: &mut Bench| {
+        let reply = bench.send(&ask(MavCmd::MAV_CMD_REQUEST_MESSAGE, 262.0, (7, 100)));
+        let told = reply.iter().find_map(|packet| match packet.message() {
+            Some(MavMessage::CAMERA_CAPTURE_STATUS(told)) => {
+                Some((told.video_status, told.recording_time_ms))
+            }
+            _ => None,
+        });
+        told.unwrap()
+    };
+    let fly = |bench: &mut Bench| {
+        let mut images = Reassembler::default();
+        bench.vehicle.advance(bench.now);
+        bench
+            .received()
+            .iter()
+            .filter_map(|packet| images.push(packet))
+            .map(|(tick, _)| tick)
+            .collect::<Vec<_>>()
+    };
+    let started = bench.send(&ask(MavCmd::MAV_CMD_VIDEO_START_CAPTURE, 0.0, (7, 100)));
+    assert_eq!(ids(&started)[..2], [(100, 77), (1, 130)]);
+    for tick in 1..4 {
+        assert_eq!(fly(&mut bench), [Tick(tick)]);
+    }
+    assert_eq!(status(&mut bench), (1, 1200));
+    let stopped = bench.send(&ask(MavCmd::MAV_CMD_VIDEO_STOP_CAPTURE, 0.0, (7, 100)));
+    assert_eq!(acks(&stopped)[0].1.result, MavResult::MAV_RESULT_ACCEPTED);
+    assert_eq!(fly(&mut bench), []);
+    assert_eq!(status(&mut bench), (0, 0));
 }

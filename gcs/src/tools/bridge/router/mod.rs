@@ -74,11 +74,13 @@ struct Source {
     /// Frames in a row with this number, and whether another number came before.
     still: u8,
     moved: bool,
+    /// Frames of it that never came.
+    lost: u64,
 }
 
 impl Source {
     fn new(now: Duration) -> Self {
-        Self { heard: now, sequence: Sequence::default(), number: 0, still: 0, moved: false }
+        Self { heard: now, sequence: Sequence::default(), number: 0, still: 0, moved: false, lost: 0 }
     }
 
     /// Whether it counts its frames on, so that the same bytes twice are a copy.
@@ -234,6 +236,8 @@ pub struct Router {
     pending: Vec<(Asked, LinkId, Duration)>,
     /// The controlled system, and the link that controls it.
     control: Option<(u8, LinkId)>,
+    /// The system that was controlled last.
+    vehicle: Option<u8>,
     suppressed_setpoints: u64,
     /// Commands from other links that would change the controlled vehicle's mode, until they are answered.
     mode_asked: Vec<(u16, LinkId)>,
@@ -253,6 +257,7 @@ impl Default for Router {
             next_group: 0,
             pending: Vec::new(),
             control: None,
+            vehicle: None,
             suppressed_setpoints: 0,
             mode_asked: Vec::new(),
             notices: Vec::new(),
@@ -327,6 +332,7 @@ impl Router {
 
     /// From now on only `by` sends setpoints to system `vehicle`; `None` ends that.
     pub fn take_control(&mut self, control: Option<(u8, LinkId)>) {
+        self.vehicle = control.map(|(vehicle, _)| vehicle).or(self.vehicle);
         self.control = control;
         self.suppressed_setpoints = 0;
         self.mode_asked.clear();
@@ -460,6 +466,7 @@ impl Router {
             entry.heard = now;
             entry.numbered(frame.sequence);
             let heard = entry.sequence.next(frame.sequence);
+            entry.lost = (entry.lost + heard.missing).saturating_sub(u64::from(heard.late));
             link.counters.numbered(heard);
             if new {
                 self.notices.push(Notice::Found(from, source.0, source.1));
@@ -608,6 +615,13 @@ impl Router {
     #[must_use]
     pub fn suppressed_setpoints(&self) -> u64 {
         self.suppressed_setpoints
+    }
+
+    /// Frames of the controlled vehicle that never came: gaps of other stations are none of the flight's.
+    #[must_use]
+    pub fn vehicle_lost(&self) -> u64 {
+        let sources = self.links.values().flat_map(|link| &link.sources);
+        sources.filter(|((system, _), _)| Some(*system) == self.vehicle).map(|(_, source)| source.lost).sum()
     }
 
     /// SETUP_SIGNING messages that were not passed on.

@@ -210,6 +210,26 @@ fn gaps_are_losses_and_a_late_frame_is_none() {
     assert_eq!(counters.duplicates, 0);
 }
 
+/// Report A10: `frames_lost` of a flight counted the gaps of other stations.
+#[test]
+fn frames_of_the_vehicle_that_are_lost_are_told_from_a_station_s() {
+    let (mut router, [vehicle, _, station, _]) = routed();
+    router.take_control(Some((1, station)));
+    let (mut autopilot, mut other) = (Sender::new(1, 1), Sender::new(254, 190));
+    for k in 0..20 {
+        let (ours, theirs) = (autopilot.attitude(), other.heartbeat());
+        if k != 7 {
+            router.receive(vehicle, &ours, NOW, |_| {});
+        }
+        if k % 3 == 0 {
+            router.receive(vehicle, &theirs, NOW, |_| {});
+        }
+    }
+    router.take_control(None);
+    assert_eq!(router.vehicle_lost(), 1);
+    assert!(router.counters(vehicle).unwrap().lost() > 10);
+}
+
 #[test]
 fn an_answer_tells_its_link_s_round_trip() {
     let (mut router, [vehicle, _, station, _]) = routed();
