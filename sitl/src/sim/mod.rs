@@ -14,7 +14,7 @@ use crate::camera::{Film, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
 use crate::scenario::{CollisionAction, Scenario};
-use crate::units::{Tick, TxPower};
+use crate::units::{Snr, Tick, TxPower};
 use crate::world::World;
 use crate::world::contact::Contact;
 use crate::world::dynamics::State;
@@ -140,6 +140,12 @@ impl Sim {
     pub fn transmit(&mut self) {
         let snr = self.world.snr(self.gate.power(), &self.scenario);
         self.link = Some(self.gate.transmit(self.tick, snr, &self.scenario.radio));
+    }
+
+    /// The first half of an interval where another radio than the scenario's gate carries the commands:
+    /// those that [`Sim::handle`] got have arrived, and `outage` is that radio's word.
+    pub fn receive(&mut self, snr: Snr, outage: bool) {
+        self.link = Some(self.gate.receive(self.tick, snr, outage));
     }
 
     /// The second half: the obstacles move, and the UAV as [`Sim::set_control`] says.

@@ -40,7 +40,7 @@ use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::program::terminal::{interrupted, positive, say};
 use crpl_sitl::program::timing::Stopwatch;
-use crpl_sitl::radio::air::config::table;
+use crpl_sitl::radio::air::config::file::table;
 use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::radio::air::{Air, AirRadio, Way};
 use tokio::time::{Instant, sleep_until};
