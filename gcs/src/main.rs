@@ -14,7 +14,7 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, optimise, policies, record, report, sensitivity, tune};
+use crpl_gcs::lab::{bound, check, episodes, fleet, optimise, policies, record, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
@@ -43,6 +43,8 @@ enum GcsCommand {
     Record(record::RecordFlags),
     /// Fly many seeds in process and print means with confidence intervals
     Episodes(episodes::Episodes),
+    /// Fly several vehicles on one base station, whose bandwidth they share
+    Fleet(fleet::table::FleetFlags),
     /// Optimise CRPL's two policies for a scenario (Algorithm 1)
     Optimise(optimise::Optimise),
     /// Measure how often flights of a policy keep each chance constraint
@@ -330,6 +332,7 @@ fn main() -> ExitCode {
         GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
         GcsCommand::Episodes(args) => episodes::run(&args),
+        GcsCommand::Fleet(args) => fleet::table::run(&args),
         GcsCommand::Optimise(args) => optimise::run(&args),
         GcsCommand::Check(args) => check::run(&args),
         GcsCommand::Bound(args) => bound::run(&args),

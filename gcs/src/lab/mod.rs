@@ -8,6 +8,7 @@ pub mod crew;
 pub mod demo;
 pub mod episodes;
 pub mod figures;
+pub mod fleet;
 pub mod optimise;
 pub mod policies;
 pub mod random;

@@ -23,7 +23,7 @@ use crpl_sitl::units::{Motion, Tick, TxPower};
 use crpl_sitl::world::dynamics::{self, State};
 use nalgebra::Vector2;
 
-use crate::station::belief::Belief;
+use crate::station::belief::{Belief, Latents};
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
@@ -117,6 +117,12 @@ impl Station {
     #[must_use]
     pub fn newest(&self) -> [Option<Tick>; 2] {
         [self.belief.seen(), self.heard.map(|heard| heard.tick)]
+    }
+
+    /// The latents of the newest frame.
+    #[must_use]
+    pub fn latents(&self) -> Latents {
+        self.belief.latents()
     }
 
     /// Whether the controller goes by frames and not by reports.

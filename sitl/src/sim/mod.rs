@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use crate::camera::{Film, Frame};
+use crate::camera::{Body, Film, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
 use crate::scenario::{CollisionAction, Scenario};
@@ -222,6 +222,15 @@ impl Sim {
     #[must_use]
     pub fn frame(&self) -> Frame {
         self.film.frame(self.tick, &self.world.poses(&self.scenario))
+    }
+
+    /// The same with other vehicles in it, which the camera draws as obstacles of this vehicle's size.
+    #[must_use]
+    pub fn frame_with(&self, others: &[State]) -> Frame {
+        let mut poses = self.world.poses(&self.scenario);
+        let body = |s: &State| Body { position: s.r, velocity: s.v, radius: self.scenario.uav_radius };
+        poses.obstacles = poses.obstacles.iter().copied().chain(others.iter().map(body)).collect();
+        self.film.frame(self.tick, &poses)
     }
 
     /// Report and frame together.

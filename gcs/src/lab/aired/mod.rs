@@ -29,7 +29,7 @@ use crpl_sitl::link::image::{self, Reassembler};
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
 use crpl_sitl::link::{AUTOPILOT, COMPANION, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM, latents};
-use crpl_sitl::radio::air::scenic::discs;
+use crpl_sitl::program::air;
 use crpl_sitl::radio::air::{Air, AirRadio, CarriedFrame, FrameFate, Way};
 use crpl_sitl::radio::message::Command;
 use crpl_sitl::sim::record::Record;
@@ -129,11 +129,8 @@ pub fn fly(
     plan: &AirPlan,
     ticks: u64,
 ) -> Result<(Vec<Record>, AirTally)> {
-    let mut air = Air::new(plan.radio.clone(), sim.seed(), 0)?;
-    let scenario = sim.scenario().clone();
-    let [north, east] = scenario.scale.ned_from_paper(scenario.channel.base_station).map(f64::from);
-    air.set_base([north, east, 0.0]);
-    let clock = Clock::new(&scenario);
+    let air = air::over(plan.radio.clone(), sim.scenario(), sim.seed(), 0)?;
+    let clock = Clock::new(sim.scenario());
     let mut flight = AirFlight {
         sim,
         station,
@@ -166,9 +163,7 @@ impl AirFlight<'_> {
         let (k, seconds) = (self.sim.tick(), scenario.scale.interval_s);
         let at = |part: f64| Duration::from_secs_f64((k.0 as f64 + part) * seconds);
         let before = self.sim.telemetry();
-        let [north, east] = before.position.map(f64::from);
-        self.air.set_place([north, east, scenario.scale.altitude_m]);
-        self.air.set_discs(discs(scenario, &self.sim.world().obstacles()));
+        air::place(&mut self.air, self.sim);
         self.arrived = false;
         self.report(at(0.0));
         self.look(at(0.0))?;
@@ -248,7 +243,7 @@ impl AirFlight<'_> {
 
     /// The setpoint goes up; the power is the station's own transmitter's, and crosses nothing.
     fn send(&mut self, command: &Command, now: Duration) {
-        self.air.set_power(usize::from(command.power == TxPower::High));
+        air::set_power(&mut self.air, command.power);
         let mut bytes = Vec::new();
         wire::push_setpoint(command.tick, command.accel, &self.clock, 1, &mut self.ground, &mut bytes);
         let kind = SET_POSITION_TARGET_LOCAL_NED_DATA::ID;

@@ -1,15 +1,13 @@
 //! `gcs episodes --radio`: what becomes of each controller where the radio carries everything.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use crpl_model::numeric::statistics::{Mean, quantile, wilson};
-use crpl_sitl::link::{image, latents};
-use crpl_sitl::program::progress;
+use crpl_sitl::Scenario;
+use crpl_sitl::link::latents;
 use crpl_sitl::program::terminal::{StopSignal, positive};
+use crpl_sitl::program::{air, progress};
 use crpl_sitl::radio::air::AirRadio;
-use crpl_sitl::radio::air::scenic::bandwidth_for;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
-use crpl_sitl::units::Tick;
-use crpl_sitl::{Scenario, Sim};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -23,7 +21,7 @@ use crate::station::pilot::Controller;
 pub struct AirFlags {
     /// What the radio carries: setpoints (the paper's gate); all, the scenario's radio for everything; or a radio's
     /// preset or file, for everything
-    #[arg(long, value_name = "setpoints|all|FILE|NAME", default_value = "setpoints")]
+    #[arg(long, value_name = "setpoints|all|FILE|NAME", default_value = air::SETPOINTS)]
     pub radio: String,
     /// What the vehicle sends of its camera, with a radio for everything
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["picture", "latent"])]
@@ -40,7 +38,7 @@ impl AirFlags {
     /// Whether the radio carries setpoints alone.
     #[must_use]
     pub fn is_gate(&self) -> bool {
-        self.radio == "setpoints"
+        self.radio == air::SETPOINTS
     }
 
     /// The radios to fly over, each with its name in the table.
@@ -51,13 +49,11 @@ impl AirFlags {
         if self.radio != "all" {
             return Ok(vec![("-".into(), AirRadio::named(&self.radio)?)]);
         }
-        let first = image::png_from_frame(&Sim::new(scenario.clone(), 0).frame(), Tick(0))?;
-        let bits = 8.0 * first.len() as f64;
         let radios = self.picture_intervals.iter().map(|intervals| {
-            let radio = AirRadio::of_scenario(scenario, bandwidth_for(scenario, bits, *intervals));
-            (format!("{intervals}"), radio)
+            let radio = air::radio(&self.radio, scenario, *intervals)?.context("the scenario's radio")?;
+            Ok((format!("{intervals}"), radio))
         });
-        Ok(radios.collect())
+        radios.collect()
     }
 }
 
