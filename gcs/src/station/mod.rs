@@ -74,6 +74,11 @@ impl Station {
 
     /// The command for the interval that this percept begins.
     pub fn handle(&mut self, percept: &Percept) -> Command {
+        self.handle_at(percept, percept.telemetry.tick)
+    }
+
+    /// The command for interval `now`, where this percept is the newest and may be late: see [`Station::decide`].
+    pub fn handle_at(&mut self, percept: &Percept, now: Tick) -> Command {
         if let Some((before, command)) = self.last
             && percept.telemetry.tick <= before.tick
         {
@@ -82,7 +87,7 @@ impl Station {
         self.close(&percept.telemetry);
         let heard = Heard::from(&percept.telemetry);
         self.belief.observe(&self.world, &heard, &percept.frame);
-        let command = self.answer(percept.telemetry.tick, &percept.telemetry);
+        let command = self.answer(now.max(percept.telemetry.tick), &percept.telemetry);
         self.last = Some((percept.telemetry, command));
         command
     }
@@ -109,8 +114,7 @@ impl Station {
         if self.pilot.sees_frames() {
             self.belief.seen()?;
         }
-        let present = if self.pilot.knows_equations() { self.rolled(heard, now) } else { heard };
-        Some(self.answer(now, &present))
+        Some(self.answer(now, &heard))
     }
 
     /// The ticks of the newest frame and of the newest report that have arrived.
@@ -132,7 +136,9 @@ impl Station {
     }
 
     fn answer(&mut self, now: Tick, telemetry: &Telemetry) -> Command {
-        let decision = self.pilot.decide(now, &self.belief, telemetry, &self.scenario.scale);
+        let rolled = self.pilot.knows_equations().then(|| self.rolled(*telemetry, now));
+        let present = rolled.as_ref().unwrap_or(telemetry);
+        let decision = self.pilot.decide(now, &self.belief, present, &self.scenario.scale);
         let command = self.command(now, decision);
         self.belief.send(&command);
         command

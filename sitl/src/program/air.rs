@@ -3,14 +3,15 @@
 //! Opens no socket and reads no clock. The frames of what a vehicle sends go down one by one, and those of what
 //! arrives go up, by the radio's rules ([`crate::radio::air`]); bytes that are no frame are not carried.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 
-use crate::link::PeerId;
+use crate::link::dialect::{DATA_TRANSMISSION_HANDSHAKE_DATA, ENCAPSULATED_DATA_DATA};
 use crate::link::image::png_from_frame;
 use crate::link::splitter::Splitter;
+use crate::link::{MessageData, PeerId};
 use crate::radio::air::scenic::{bandwidth_for, discs};
 use crate::radio::air::{Air, AirRadio, CarriedFrame, FrameFate, Way};
 use crate::scenario::Scenario;
@@ -65,10 +66,79 @@ pub fn set_power<T>(air: &mut Air<T>, power: TxPower) {
     air.set_power(usize::from(power == TxPower::High));
 }
 
+/// A radio whose sender holds back what is long: one picture at a time, part by part, each when nothing else waits.
+/// A picture that comes while parts of another one wait is left out, and reports never wait for more than a part.
+#[derive(Debug)]
+pub struct PacedAir<T> {
+    air: Air<T>,
+    /// Parts of the picture: kind, length, frame.
+    parts: VecDeque<(u32, usize, T)>,
+    /// Whether the parts that come belong to a picture that is left out.
+    skips: bool,
+    polled: Duration,
+}
+
+impl<T> PacedAir<T> {
+    /// A radio with an idle sender.
+    #[must_use]
+    pub fn new(air: Air<T>) -> Self {
+        Self { air, parts: VecDeque::new(), skips: false, polled: Duration::ZERO }
+    }
+
+    /// The radio.
+    pub fn air(&mut self) -> &mut Air<T> {
+        &mut self.air
+    }
+
+    /// Whether a picture would be sent now.
+    #[must_use]
+    pub fn is_free(&self) -> bool {
+        self.parts.is_empty()
+    }
+
+    /// A frame of the message `kind` is handed to its sender.
+    pub fn offer(&mut self, now: Duration, way: Way, kind: u32, bytes: usize, frame: T) {
+        let begins = kind == DATA_TRANSMISSION_HANDSHAKE_DATA::ID;
+        if way == Way::Up || !(begins || kind == ENCAPSULATED_DATA_DATA::ID) {
+            self.air.offer(now, way, kind, bytes, frame);
+            return;
+        }
+        if begins {
+            self.skips = !self.is_free();
+        }
+        if !self.skips {
+            self.parts.push_back((kind, bytes, frame));
+        }
+    }
+
+    /// Goes on to `now`, and hands out every frame whose fate is settled by then, in order of time.
+    pub fn poll(&mut self, now: Duration, mut each: impl FnMut(CarriedFrame<T>)) {
+        loop {
+            if self.air.waiting(Way::Down) == 0
+                && let Some((kind, bytes, frame)) = self.parts.pop_front()
+            {
+                self.air.offer(self.polled, Way::Down, kind, bytes, frame);
+            }
+            let next = self.air.next_event().filter(|next| *next <= now);
+            self.polled = next.unwrap_or(now).max(self.polled);
+            self.air.poll(self.polled, &mut each);
+            if next.is_none() && (self.is_free() || self.air.waiting(Way::Down) > 0) {
+                return;
+            }
+        }
+    }
+
+    /// When [`PacedAir::poll`] has something to do next.
+    #[must_use]
+    pub fn next_event(&self) -> Option<Duration> {
+        self.air.next_event()
+    }
+}
+
 /// The radio of one vehicle.
 #[derive(Debug)]
 pub struct AirGap {
-    air: Air<(PeerId, Vec<u8>)>,
+    air: PacedAir<(PeerId, Vec<u8>)>,
     splitters: BTreeMap<PeerId, Splitter>,
     placed: Option<Tick>,
 }
@@ -79,7 +149,8 @@ impl AirGap {
     /// # Errors
     /// The radio's buildings do not read.
     pub fn new(radio: AirRadio, scenario: &Scenario, seed: u64, link: u64) -> Result<Self> {
-        Ok(Self { air: over(radio, scenario, seed, link)?, splitters: BTreeMap::new(), placed: None })
+        let air = PacedAir::new(over(radio, scenario, seed, link)?);
+        Ok(Self { air, splitters: BTreeMap::new(), placed: None })
     }
 
     /// Bytes for a peer go down, or bytes of a peer go up.
@@ -99,7 +170,7 @@ impl AirGap {
     /// Goes on to `now`, and hands out what has arrived.
     pub fn poll(&mut self, sim: &Sim, now: Duration, mut each: impl FnMut(Way, PeerId, &[u8])) {
         if self.placed != Some(sim.tick()) {
-            place(&mut self.air, sim);
+            place(self.air.air(), sim);
             self.placed = Some(sim.tick());
         }
         self.air.poll(now, |CarriedFrame { frame: (peer, bytes), way, fate, .. }| {
@@ -163,5 +234,24 @@ mod tests {
         let [slow, fast] = [3.0, 1.0].map(|x| radio("all", &scenario, x).unwrap().unwrap().bandwidth_hz);
         assert!((fast / slow - 3.0).abs() < 1e-9);
         assert!(radio("no such", &scenario, 1.0).unwrap_err().to_string().contains("sik-57"));
+    }
+
+    #[test]
+    fn a_report_waits_for_a_part_of_a_picture_and_a_second_picture_is_left_out() {
+        let mut radio = AirRadio::default();
+        radio.down.rate = crate::radio::air::rate::AirRate::Fixed { bps: 8e3, snr_db: -100.0 };
+        let mut air = PacedAir::new(Air::new(radio, 0, 0).unwrap());
+        let (begin, part) = (DATA_TRANSMISSION_HANDSHAKE_DATA::ID, ENCAPSULATED_DATA_DATA::ID);
+        let at = Duration::from_millis;
+        // A byte takes a millisecond.
+        for (kind, frame) in [(begin, "a0"), (part, "a1"), (part, "a2"), (begin, "b0"), (part, "b1")] {
+            air.offer(at(0), Way::Down, kind, 100, frame);
+        }
+        let mut arrived = Vec::new();
+        air.poll(at(50), |frame| arrived.push((frame.done.as_millis(), frame.frame)));
+        air.offer(at(50), Way::Down, 0, 10, "report");
+        air.poll(at(1000), |frame| arrived.push((frame.done.as_millis(), frame.frame)));
+        assert_eq!(arrived, [(100, "a0"), (110, "report"), (210, "a1"), (310, "a2")]);
+        assert!(air.is_free());
     }
 }

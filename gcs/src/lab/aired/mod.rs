@@ -29,8 +29,8 @@ use crpl_sitl::link::image::{self, Reassembler};
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
 use crpl_sitl::link::{AUTOPILOT, COMPANION, MessageData, RADIO, STATION_COMPONENT, STATION_SYSTEM, latents};
-use crpl_sitl::program::air;
-use crpl_sitl::radio::air::{Air, AirRadio, CarriedFrame, FrameFate, Way};
+use crpl_sitl::program::air::{self, PacedAir};
+use crpl_sitl::radio::air::{AirRadio, CarriedFrame, FrameFate, Way};
 use crpl_sitl::radio::message::Command;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Snr, Tick, TxPower};
@@ -102,7 +102,7 @@ struct AirFlight<'a> {
     sim: &'a mut Sim,
     station: &'a mut Station,
     world: Arc<WorldModel>,
-    air: Air<AirParcel>,
+    air: PacedAir<AirParcel>,
     plan: &'a AirPlan,
     clock: Clock,
     vehicle: [Encoder; 2],
@@ -110,8 +110,6 @@ struct AirFlight<'a> {
     ground: Encoder,
     reports: TelemetryReader,
     images: Reassembler,
-    /// Parts of the picture that wait, the next one last.
-    backlog: Vec<Packet>,
     /// Whether the command of this interval has arrived.
     arrived: bool,
     tally: AirTally,
@@ -129,7 +127,7 @@ pub fn fly(
     plan: &AirPlan,
     ticks: u64,
 ) -> Result<(Vec<Record>, AirTally)> {
-    let air = air::over(plan.radio.clone(), sim.scenario(), sim.seed(), 0)?;
+    let air = PacedAir::new(air::over(plan.radio.clone(), sim.scenario(), sim.seed(), 0)?);
     let clock = Clock::new(sim.scenario());
     let mut flight = AirFlight {
         sim,
@@ -143,7 +141,6 @@ pub fn fly(
         ground: Encoder::new(STATION_SYSTEM, STATION_COMPONENT),
         reports: TelemetryReader::default(),
         images: Reassembler::default(),
-        backlog: Vec::new(),
         arrived: false,
         tally: AirTally::default(),
     };
@@ -163,17 +160,17 @@ impl AirFlight<'_> {
         let (k, seconds) = (self.sim.tick(), scenario.scale.interval_s);
         let at = |part: f64| Duration::from_secs_f64((k.0 as f64 + part) * seconds);
         let before = self.sim.telemetry();
-        air::place(&mut self.air, self.sim);
+        air::place(self.air.air(), self.sim);
         self.arrived = false;
         self.report(at(0.0));
         self.look(at(0.0))?;
-        self.run(at(0.0), at(DECIDES));
+        self.run(at(DECIDES));
         let command = self.decide(k);
         if let Some(command) = command {
             self.send(&command, at(DECIDES));
         }
-        self.run(at(DECIDES), at(1.0));
-        let snr = Snr::from_db(self.air.budget(at(DECIDES), Way::Up).snr_db());
+        self.run(at(1.0));
+        let snr = Snr::from_db(self.air.air().budget(at(DECIDES), Way::Up).snr_db());
         if let Some(command) = command {
             // An older command that has arrived changes nothing in the station's own transmitter.
             self.sim.set_power(command.power);
@@ -212,13 +209,14 @@ impl AirFlight<'_> {
         let tick = self.sim.tick();
         match self.plan.downlink {
             Downlink::Telemetry => {}
-            Downlink::Picture if self.backlog.is_empty() => {
+            Downlink::Picture if self.air.is_free() => {
                 let png = image::png_from_frame(&self.sim.frame(), tick)?;
                 let autopilot = &mut self.vehicle[0];
                 let parts = (0..image::datagram_count(&png)).map(|n| image::datagram(&png, n, autopilot));
                 let bytes: Vec<u8> = parts.flatten().collect();
-                self.backlog = Decoder::of_stream().datagram(&bytes);
-                self.backlog.reverse();
+                for packet in Decoder::of_stream().datagram(&bytes) {
+                    self.offer(packet, now);
+                }
                 self.tally.sights[0] += 1;
             }
             Downlink::Picture => {}
@@ -243,31 +241,18 @@ impl AirFlight<'_> {
 
     /// The setpoint goes up; the power is the station's own transmitter's, and crosses nothing.
     fn send(&mut self, command: &Command, now: Duration) {
-        air::set_power(&mut self.air, command.power);
+        air::set_power(self.air.air(), command.power);
         let mut bytes = Vec::new();
         wire::push_setpoint(command.tick, command.accel, &self.clock, 1, &mut self.ground, &mut bytes);
         let kind = SET_POSITION_TARGET_LOCAL_NED_DATA::ID;
         self.air.offer(now, Way::Up, kind, bytes.len(), AirParcel::Up(*command));
     }
 
-    /// Lets the radio work from `now` to `end`. A part of a picture is offered when nothing else waits.
-    fn run(&mut self, mut now: Duration, end: Duration) {
-        loop {
-            if self.air.waiting(Way::Down) == 0
-                && let Some(part) = self.backlog.pop()
-            {
-                self.offer(part, now);
-            }
-            let next = self.air.next_event().unwrap_or(end).clamp(now, end);
-            let mut settled = Vec::new();
-            self.air.poll(next, |frame| settled.push(frame));
-            let idle = settled.is_empty() && next == end;
-            settled.into_iter().for_each(|frame| self.settle(frame));
-            now = next;
-            if idle && (self.backlog.is_empty() || self.air.waiting(Way::Down) > 0) {
-                return;
-            }
-        }
+    /// Lets the radio work to `end`.
+    fn run(&mut self, end: Duration) {
+        let mut settled = Vec::new();
+        self.air.poll(end, |frame| settled.push(frame));
+        settled.into_iter().for_each(|frame| self.settle(frame));
     }
 
     /// A frame's fate is known.
