@@ -18,7 +18,7 @@ use crpl_gcs::lab::{bound, check, episodes, fleet, optimise, policies, record, r
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
-use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
+use crpl_gcs::tools::{bridge, encode, key, link, mission, param, replay, tlog};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -65,6 +65,8 @@ enum GcsCommand {
     Bridge(bridge::Bridge),
     /// Put a radio between a vehicle and its tools: slow and lossy as its geometry says
     Link(link::RadioLink),
+    /// Encode a vehicle's pictures beside it and send their latents: a companion's half of CRPL
+    Encode(encode::Encode),
     /// List, read, set, load and save a vehicle's parameters
     Param(param::Params),
     /// Upload, download and clear a vehicle's mission
@@ -325,6 +327,7 @@ fn main() -> ExitCode {
         GcsCommand::Record(args) => terminal::block_on(record::run(args)),
         GcsCommand::Bridge(args) => terminal::block_on(bridge::run(args)),
         GcsCommand::Link(args) => terminal::block_on(link::run(args)),
+        GcsCommand::Encode(args) => terminal::block_on(encode::run(args)),
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),

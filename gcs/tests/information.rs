@@ -230,7 +230,7 @@ fn what_a_controller_does_see_matters() {
     assert!(same_commands(Controller::Crpl, scenario(), deaf).is_err());
     let black = |percept: &Percept| Percept {
         frame: crpl_sitl::camera::Frame::black().into(),
-        telemetry: percept.telemetry,
+        ..percept.clone()
     };
     assert!(same_commands(Controller::Crpl, scenario(), black).is_err());
     for controller in [Controller::Rcc, Controller::Ucc, Controller::Apc, Controller::CrplExactLatents] {

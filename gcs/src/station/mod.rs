@@ -86,7 +86,10 @@ impl Station {
         }
         self.close(&percept.telemetry);
         let heard = Heard::from(&percept.telemetry);
-        self.belief.observe(&self.world, &heard, &percept.frame);
+        self.belief.hear(&heard);
+        if let Some(sighting) = Sighting::of_percept(&self.world, percept, self.scenario.obstacles.len()) {
+            self.belief.see(heard.tick, &sighting);
+        }
         let command = self.answer(now.max(percept.telemetry.tick), &percept.telemetry);
         self.last = Some((percept.telemetry, command));
         command

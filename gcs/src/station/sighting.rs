@@ -4,7 +4,7 @@ use crpl_model::encoder::weights::{LATENT, from_plane, on_plane, vector};
 use crpl_model::predictor::observer::{FRAME_NOISE, LatentReading};
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::camera::{COLOURS, Frame};
-use crpl_sitl::link::latents::{SentLatent, SentLatents};
+use crpl_sitl::radio::message::{Percept, SentLatent, SentLatents};
 use crpl_sitl::units::Tick;
 
 /// The readings of one frame.
@@ -29,6 +29,15 @@ impl Sighting {
         let mut readings = one_each.iter().map(|frame| world.see(frame)).peekable();
         let c = readings.peek().map_or(LatentReading::from(nalgebra::Vector2::zeros()), |[c, _]| *c);
         Self { c, u: readings.map(|[_, u]| u).take(seen).collect() }
+    }
+
+    /// What a percept of a world with so many obstacles shows: its latents, or its frame encoded here.
+    #[must_use]
+    pub fn of_percept(world: &WorldModel, percept: &Percept, obstacles: usize) -> Option<Self> {
+        match &percept.latents {
+            Some(latents) => Self::of_latents(world, latents),
+            None => Some(Self::of(world, &percept.frame, obstacles)),
+        }
     }
 
     /// As latents to be sent: z_c, then z_u of each obstacle.

@@ -21,10 +21,8 @@ use super::messages::View;
 use super::messages::image::Tunnel;
 use super::packet::Packet;
 use super::wire::Clock;
-use crate::units::Tick;
+use crate::radio::message::{NUMBERS, SentLatent, SentLatents};
 
-/// Numbers in a vector.
-pub const NUMBERS: usize = 16;
 /// Most vectors in a message of the widest numbers.
 pub const MAX_VECTORS: usize = 3;
 /// Widths of a number that a message can have, bits.
@@ -36,26 +34,6 @@ const PAYLOAD: u16 = 32769;
 const HEADS: [usize; 2] = [6, 8];
 /// Bytes of a TUNNEL's payload.
 const ROOM: usize = 128;
-
-/// A latent vector and how far off it is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SentLatent {
-    /// z.
-    pub z: [f32; NUMBERS],
-    /// Standard deviation in units of the encoder's noise on a clean frame.
-    pub sigma_scale: f32,
-    /// What quantising adds to each number: its largest error.
-    pub half_step: f32,
-}
-
-/// The latents of one frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SentLatents {
-    /// Of the frame.
-    pub tick: Tick,
-    /// z_c, then z_u of each obstacle.
-    pub vectors: Vec<SentLatent>,
-}
 
 /// Why latents cannot be sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -167,6 +145,7 @@ mod tests {
     use super::*;
     use crate::Scenario;
     use crate::link::decoder::Decoder;
+    use crate::units::Tick;
 
     fn latents(vectors: usize) -> SentLatents {
         let vector = |n: usize| SentLatent {

@@ -236,7 +236,7 @@ impl Sim {
     /// Report and frame together.
     #[must_use]
     pub fn percept(&self) -> Percept {
-        Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()) }
+        Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()), latents: None }
     }
 }
 

@@ -17,10 +17,11 @@ use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::latents;
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
-use crpl_sitl::radio::message::{Command, Percept, Telemetry};
+use crpl_sitl::radio::message::{Command, Percept, SentLatents, Telemetry};
 use crpl_sitl::units::Tick;
 
 use crate::tools::fleet::{Fleet, FlightMode, News};
@@ -57,7 +58,7 @@ pub struct Remote {
     /// Of the percepts to come.
     waiting: BTreeMap<Tick, Telemetry>,
     /// Of the percept to come.
-    frame: Option<(Tick, Frame)>,
+    frame: Option<(Tick, Frame, Option<SentLatents>)>,
     newest: Option<Tick>,
     command: Option<Command>,
     /// Repeats since the newest percept.
@@ -149,7 +150,11 @@ impl Remote {
             }
         } else if let Some((tick, frame)) = self.images.push(packet) {
             if self.newest < Some(tick) {
-                self.frame = Some((tick, frame));
+                self.frame = Some((tick, frame, None));
+            }
+        } else if let Some(sent) = latents::of(packet, &self.clock) {
+            if self.newest < Some(sent.tick) {
+                self.frame = Some((sent.tick, Frame::black(), Some(sent)));
             }
         } else if packet.is::<dialect::STATUSTEXT_DATA>()
             && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
@@ -172,13 +177,13 @@ impl Remote {
 
     /// The percept, if both of its parts are there.
     fn complete(&mut self) -> Option<Percept> {
-        let (tick, _) = self.frame.as_ref()?;
+        let (tick, ..) = self.frame.as_ref()?;
         let telemetry = self.waiting.get(tick).copied()?;
-        let (tick, frame) = self.frame.take()?;
+        let (tick, frame, latents) = self.frame.take()?;
         self.waiting = self.waiting.split_off(&tick.next());
         self.newest = Some(telemetry.tick);
         self.repeats = 0;
-        Some(Percept { telemetry, frame: Arc::new(frame) })
+        Some(Percept { telemetry, frame: Arc::new(frame), latents: latents.map(Arc::new) })
     }
 
     /// The datagram of a command: power and setpoint, so that none comes without the other.

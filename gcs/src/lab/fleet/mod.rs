@@ -213,7 +213,7 @@ impl FleetFlight<'_> {
             false => *state,
         };
         let others: Vec<State> = others.iter().map(own).collect();
-        Percept { telemetry: member.sim.telemetry(), frame: member.sim.frame_with(&others).into() }
+        Percept { frame: member.sim.frame_with(&others).into(), ..member.sim.percept() }
     }
 
     /// What the channel head predicts for a vehicle, straight on from where it is.

@@ -112,7 +112,7 @@ pub struct RadioLink {
 /// Datagrams and parts of streams that are read before what they bring is sent.
 const BURST: usize = 128;
 /// As a router's: a tool that does not read misses what it cannot take.
-const LINKS: LinkOptions = LinkOptions {
+pub(crate) const LINKS: LinkOptions = LinkOptions {
     backlog: Backlog::Drop(1 << 20),
     connects_later: true,
     max_streams: 512,
