@@ -15,11 +15,11 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, optimise, policies, record, report, sensitivity, tune};
+use crpl_gcs::lab::{bound, check, episodes, fleet, optimise, policies, record, report, sensitivity, tune};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
-use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
+use crpl_gcs::tools::{bridge, encode, key, link, mission, param, replay, tlog};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -44,6 +44,8 @@ enum GcsCommand {
     Record(record::RecordFlags),
     /// Fly many seeds in process and print means with confidence intervals
     Episodes(episodes::Episodes),
+    /// Fly several vehicles on one base station, whose bandwidth they share
+    Fleet(fleet::table::FleetFlags),
     /// Optimise CRPL's two policies for a scenario (Algorithm 1)
     Optimise(optimise::Optimise),
     /// Measure how often flights of a policy keep each chance constraint
@@ -64,6 +66,8 @@ enum GcsCommand {
     Bridge(bridge::Bridge),
     /// Put a radio between a vehicle and its tools: slow and lossy as its geometry says
     Link(link::RadioLink),
+    /// Encode a vehicle's pictures beside it and send their latents: a companion's half of CRPL
+    Encode(encode::Encode),
     /// List, read, set, load and save a vehicle's parameters
     Param(param::Params),
     /// Upload, download and clear a vehicle's mission
@@ -340,6 +344,7 @@ fn main() -> ExitCode {
         GcsCommand::Record(args) => terminal::block_on(record::run(args)),
         GcsCommand::Bridge(args) => terminal::block_on(bridge::run(args)),
         GcsCommand::Link(args) => terminal::block_on(link::run(args)),
+        GcsCommand::Encode(args) => terminal::block_on(encode::run(args)),
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
@@ -347,6 +352,7 @@ fn main() -> ExitCode {
         GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),
         GcsCommand::Episodes(args) => episodes::run(&args),
+        GcsCommand::Fleet(args) => fleet::table::run(&args),
         GcsCommand::Optimise(args) => optimise::run(&args),
         GcsCommand::Check(args) => check::run(&args),
         GcsCommand::Bound(args) => bound::run(&args),

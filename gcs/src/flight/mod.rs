@@ -139,6 +139,11 @@ pub trait Crew {
     /// ticks.
     fn command(&mut self, percept: &Percept) -> Command;
 
+    /// The same where the percept has come late: the interval that begins is `now`.
+    fn command_at(&mut self, percept: &Percept, _now: Tick) -> Command {
+        self.command(percept)
+    }
+
     /// The flight begins with its first percept, which is here. Gives the file of the tlog, if there is to be
     /// one.
     ///
@@ -319,7 +324,8 @@ pub async fn fly_on(
                         if is_last || shell.has_fallen(&percept, scenario) {
                             return Ok(shell.over(percept).await);
                         }
-                        let command = crew.command(&percept);
+                        let now = shell.remote.heard().unwrap_or(percept.telemetry.tick);
+                        let command = crew.command_at(&percept, now);
                         if crew.is_done() {
                             return Ok(shell.over(percept).await);
                         }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use crpl_sitl::program::terminal::ExitWith;
 use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::units::Tick;
 
 use crate::flight::{Crew, Flight};
 use crate::lab::run_folder::RunFolder;
@@ -72,6 +73,10 @@ pub fn exit_of(flight: &Flight, failed: Option<String>) -> Option<ExitWith> {
 impl Crew for LoggedStation {
     fn command(&mut self, percept: &Percept) -> Command {
         self.station.handle(percept)
+    }
+
+    fn command_at(&mut self, percept: &Percept, now: Tick) -> Command {
+        self.station.handle_at(percept, now)
     }
 
     fn begin(&mut self) -> Result<Option<PathBuf>> {

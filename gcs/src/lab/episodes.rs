@@ -11,6 +11,7 @@ use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::lab::aired::table::{self, AirFlags};
 use crate::lab::sweep::table::ratio_cell;
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, PolicyOrigin};
@@ -35,6 +36,8 @@ pub struct Episodes {
     /// Controllers to fly
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
+    #[command(flatten)]
+    air: AirFlags,
     #[command(flatten)]
     models: ModelFiles,
     /// Print one JSON line per controller
@@ -82,6 +85,10 @@ pub fn run(args: &Episodes) -> Result<()> {
     let scenario = args.camera.scenario(&args.scenario)?;
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
+    if !args.air.is_gate() {
+        let seeds = (args.first_seed, args.episodes);
+        return table::run(&args.air, &models, &scenario, &args.controller, seeds, args.json);
+    }
     let stop = StopSignal::listen()?;
     let bar = progress::bar("flights", args.episodes * args.controller.len() as u64);
     let mut crpl: Option<Vec<FlightScore>> = None;

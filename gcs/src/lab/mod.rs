@@ -1,5 +1,6 @@
 //! Flights in process: the same `Sim` and the same `Station` as over UDP, without a link.
 
+pub mod aired;
 pub mod attempts;
 pub mod bound;
 pub mod check;
@@ -7,6 +8,7 @@ pub mod crew;
 pub mod demo;
 pub mod episodes;
 pub mod figures;
+pub mod fleet;
 pub mod optimise;
 pub mod policies;
 pub mod random;
@@ -27,6 +29,7 @@ use crpl_sitl::sim::metric::FlightScore;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::{Scenario, Sim};
 
+use crate::lab::aired::{AirPlan, AirTally};
 use crate::station::Station;
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::crpl::Crpl;
@@ -110,8 +113,32 @@ impl Contender {
         self.flown(seed).score().context("no interval was flown")
     }
 
+    /// A whole flight over a radio that carries everything: its score, and what went over the radio.
+    ///
+    /// # Errors
+    /// As [`aired::fly`]; the scenario's horizon is 0.
+    pub fn fly_over(&self, plan: &AirPlan, seed: u64) -> Result<(FlightScore, AirTally)> {
+        let mut sim = Sim::new(self.scenario.clone(), seed);
+        let horizon = self.scenario.horizon;
+        let (records, tally) = aired::fly(&mut sim, &mut self.station(), &self.world, plan, horizon)?;
+        let score = FlightScore::of(&records, &self.scenario).context("no interval was flown")?;
+        Ok((score, tally))
+    }
+
+    /// Whether the controller goes by frames and not by reports.
+    #[must_use]
+    pub fn sees_frames(&self) -> bool {
+        self.pilot.sees_frames()
+    }
+
+    /// A station of its own that has heard nothing yet.
+    #[must_use]
+    pub fn station(&self) -> Station {
+        Station::new(self.scenario.clone(), self.world.clone(), self.pilot.clone())
+    }
+
     fn flown(&self, seed: u64) -> Station {
-        let mut station = Station::new(self.scenario.clone(), self.world.clone(), self.pilot.clone());
+        let mut station = self.station();
         let mut sim = Sim::new(self.scenario.clone(), seed);
         fly(&mut sim, &mut station, self.scenario.horizon);
         station

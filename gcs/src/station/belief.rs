@@ -5,19 +5,22 @@
 
 use std::collections::BTreeMap;
 
-use crpl_model::predictor::observer::LatentObserver;
+use crpl_model::predictor::observer::{Estimate, LatentObserver};
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::camera::{COLOURS, Frame};
 use crpl_sitl::radio::Fates;
-use crpl_sitl::radio::message::Held;
+use crpl_sitl::radio::message::{Command, Held};
 use crpl_sitl::scenario::Rule;
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::obstacles::PerObstacle;
 use nalgebra::Vector2;
 
+use super::flight_log::FlightLog;
 use super::seen::{BeliefConfig, Heard};
+use super::sighting::Sighting;
 
-/// Missed percepts beyond which the gap's length no longer matters: longer than any window.
+/// Missed percepts beyond which the gap's length no longer matters: longer than any window. So many reports and
+/// commands are remembered.
 const MAX_MISSED: u64 = 100;
 
 /// What the observer makes of the last frames, in plane coordinates.
@@ -45,11 +48,14 @@ pub struct Belief {
     controllable: LatentObserver,
     /// Of each obstacle that the frames tell apart.
     uncontrollable: Vec<LatentObserver>,
-    /// Report that came with the newest frame.
-    newest: Option<Heard>,
+    /// Tick of the newest frame.
+    seen: Option<Tick>,
+    /// Estimates at the newest frame: of the UAV, and of each obstacle.
+    estimates: Option<(Estimate, Vec<Estimate>)>,
     latents: Latents,
     config: BeliefConfig,
     ledger: Ledger,
+    heard: FlightLog,
 }
 
 impl Belief {
@@ -62,49 +68,66 @@ impl Belief {
         Self {
             controllable: LatentObserver::new(c, window),
             uncontrollable: (0..seen).map(|_| LatentObserver::new(u.clone(), window)).collect(),
-            newest: None,
+            seen: None,
+            estimates: None,
             latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
             ledger: Ledger::new(config.rule),
             config,
+            heard: FlightLog::default(),
         }
     }
 
     /// Takes in a frame and what was heard with it.
     pub fn observe(&mut self, world: &WorldModel, heard: &Heard, frame: &Frame) {
-        let flown = self.flown(heard);
-        let still = vec![Vector2::zeros(); flown.len()];
-        let seen = match self.uncontrollable.len() {
-            0 | 1 => vec![world.see(frame)],
-            _ => frame.one_obstacle_each().iter().map(|frame| world.see(frame)).collect(),
-        };
-        for (observer, [_, u]) in self.uncontrollable.iter_mut().zip(&seen) {
-            observer.observe(*u, &still);
-        }
-        if let Some([c, _]) = seen.first() {
-            self.controllable.observe(*c, &flown);
-        }
-        let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
-        let y_u = self.uncontrollable.iter().map(|u| Some(narrow(u.estimate()?.y))).collect::<Option<_>>();
-        if let (Some(c), Some(y_u)) = (self.controllable.estimate(), y_u) {
-            self.latents = Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u };
-        }
-        self.newest = Some(*heard);
-        self.ledger.hear(heard);
+        self.hear(heard);
+        self.see(heard.tick, &Sighting::of(world, frame, self.config.obstacles));
     }
 
-    /// Normalised accelerations of the intervals since the newest frame, oldest first: what the
-    /// vehicle says it flew, not what was sent. A command is flown from its own tick on.
-    fn flown(&self, heard: &Heard) -> Vec<Vector2<f64>> {
-        let Some(before) = self.newest else { return Vec::new() };
-        let gap = heard.tick.0.saturating_sub(before.tick.0).min(MAX_MISSED);
-        let normalised =
-            |held: Held| self.config.scale.paper_from_ned_acceleration(held.accel) / self.config.limits.a_max;
-        (heard.tick.0 - gap..heard.tick.0)
-            .map(|tick| {
-                let flown = heard.held.filter(|held| held.tick.0 <= tick).or(before.held);
-                flown.map_or(Vector2::zeros(), normalised)
-            })
-            .collect()
+    /// Takes in what was heard, with or without a frame. A report that is older than the newest tells nothing new.
+    pub fn hear(&mut self, heard: &Heard) {
+        if self.heard.newest().is_none_or(|newest| heard.tick > newest.tick) {
+            self.heard.add(*heard);
+            self.ledger.hear(heard);
+        }
+    }
+
+    /// Takes in what the frame of a tick shows, which may have come late: [`Belief::latents_at`] brings it up to
+    /// date. A frame that is older than the newest is left out.
+    pub fn see(&mut self, tick: Tick, sighting: &Sighting) {
+        let flown = match self.seen {
+            None => Vec::new(),
+            Some(seen) if tick <= seen => return,
+            Some(seen) => {
+                let gap = (tick.0 - seen.0).min(MAX_MISSED);
+                (tick.0 - gap..tick.0).map(|k| self.normalised(self.heard.flown(Tick(k)))).collect()
+            }
+        };
+        let still = vec![Vector2::zeros(); flown.len()];
+        for (observer, u) in self.uncontrollable.iter_mut().zip(&sighting.u) {
+            observer.observe(*u, &still);
+        }
+        self.controllable.observe(sighting.c, &flown);
+        let u = self.uncontrollable.iter().map(LatentObserver::estimate).collect::<Option<Vec<_>>>();
+        if let (Some(c), Some(u)) = (self.controllable.estimate(), u) {
+            self.latents = latents(c, &u);
+            self.estimates = Some((c, u));
+        }
+        self.seen = Some(tick);
+    }
+
+    /// Normalised acceleration.
+    fn normalised(&self, held: Option<Held>) -> Vector2<f64> {
+        held.map_or(Vector2::zeros(), |held| {
+            self.config.scale.paper_from_ned_acceleration(held.accel) / self.config.limits.a_max
+        })
+    }
+
+    /// The normalised accelerations of the intervals from `from` to `now`: what the vehicle says it flew, and after
+    /// its newest report what it flies if the radio goes on as it was there.
+    #[must_use]
+    pub fn actions(&self, from: Tick, now: Tick) -> Vec<Vector2<f64>> {
+        let first = from.0.max(now.0.saturating_sub(MAX_MISSED));
+        (first..now.0).map(|k| self.normalised(self.heard.expected(Tick(k)))).collect()
     }
 
     /// The newest latents; zeros before the first frame.
@@ -113,16 +136,43 @@ impl Belief {
         self.latents
     }
 
+    /// The latents at the start of tick `now`: those of the newest frame, and if it is older than that, what the
+    /// predictor makes of it and of the actions since then.
+    #[must_use]
+    pub fn latents_at(&self, now: Tick) -> Latents {
+        let (Some(seen), Some((c, u))) = (self.seen, &self.estimates) else { return self.latents };
+        if seen >= now {
+            return self.latents;
+        }
+        let flown = self.actions(seen, now);
+        let still = vec![Vector2::zeros(); flown.len()];
+        let u: Vec<_> =
+            self.uncontrollable.iter().zip(u).map(|(observer, u)| observer.ahead(*u, &still)).collect();
+        latents(self.controllable.ahead(*c, &flown), &u)
+    }
+
+    /// Tick of the newest frame.
+    #[must_use]
+    pub fn seen(&self) -> Option<Tick> {
+        self.seen
+    }
+
     /// The ledger.
     #[must_use]
     pub fn ledger(&self) -> &Ledger {
         &self.ledger
     }
 
-    /// The ledger, to write down what is sent and heard.
-    pub fn ledger_mut(&mut self) -> &mut Ledger {
-        &mut self.ledger
+    /// A command goes out.
+    pub fn send(&mut self, command: &Command) {
+        self.ledger.send(command.tick);
+        self.heard.send(command);
     }
+}
+
+fn latents(c: Estimate, u: &[Estimate]) -> Latents {
+    let narrow = |y: Vector2<f64>| [y.x as f32, y.y as f32];
+    Latents { y_c: narrow(c.y), y_c_before: narrow(c.before()), y_u: u.iter().map(|u| narrow(u.y)).collect() }
 }
 
 /// What became of a command.
@@ -231,6 +281,46 @@ mod tests {
         ledger.hear(&report(1, None, true));
         ledger.hear(&report(2, Some(0), false));
         assert_eq!(ledger.fates(), Fates { sent: 1, delayed: 1, ..Fates::default() });
+    }
+
+    /// A frame that comes late, and reports without one: the belief is where the UAV is now.
+    #[test]
+    fn a_late_frame_is_rolled_forward_by_the_actions_flown() {
+        let world = WorldModel::embedded().unwrap();
+        let scenario = Scenario::default();
+        let mut belief = Belief::new(&world, BeliefConfig::of(&scenario));
+        let (mut r, mut v) = (Vector2::new(0.3, 0.7), Vector2::zeros());
+        let mut frames = Vec::new();
+        let mut held = None;
+        for tick in 0..30u64 {
+            frames.push(crpl_sitl::camera::render(r, scenario.obstacle().position, &scenario));
+            belief.hear(&Heard { held, ..report(tick, None, false) });
+            // Every third frame arrives, five intervals late.
+            if tick >= 5 && tick % 3 == 0 {
+                let old = Tick(tick - 5);
+                belief.see(old, &Sighting::of(&world, &frames[old.0 as usize], 1));
+            }
+            let truth = world.encode(frames.last().unwrap());
+            if tick > 12 {
+                let off =
+                    |y: [f32; 2], z: [f32; 2]| f64::from((y[0] - z[0]).hypot(y[1] - z[1])) / world.scale;
+                let now = belief.latents_at(Tick(tick));
+                assert!(off(now.y_c, world.y_c(&truth)) < 1e-3, "tick {tick}: {now:?}");
+                assert!(off(now.y_u[0], world.y_u(&truth)) < 1e-3, "tick {tick}: {now:?}");
+                assert!(off(belief.latents().y_c, world.y_c(&truth)) > 5e-3, "tick {tick}: it moves");
+            }
+            let a =
+                Vector2::new((tick as f64 * 0.5).sin(), (tick as f64 * 0.4).cos()) * scenario.dynamics.a_max;
+            let accel = scenario.scale.ned_from_paper_acceleration(a);
+            belief.send(&Command::new(Tick(tick), accel, TxPower::Low));
+            held = Some(Held { tick: Tick(tick), accel });
+            v += scenario.scale.paper_from_ned_acceleration(accel);
+            r += v;
+        }
+        // An old frame changes nothing.
+        let now = belief.latents();
+        belief.see(Tick(3), &Sighting::of(&world, &frames[3], 1));
+        assert_eq!(belief.latents(), now);
     }
 
     /// Flies by hand with gaps: places obey the actions that are reported as held.

@@ -4,9 +4,11 @@
 //! flight in lockstep and changes nothing in it.
 
 pub mod belief;
+pub mod flight_log;
 pub mod models;
 pub mod pilot;
 pub mod seen;
+pub mod sighting;
 
 use std::sync::Arc;
 
@@ -18,11 +20,14 @@ use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::sim::metric::FlightScore;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Motion, Tick, TxPower};
+use crpl_sitl::world::dynamics::{self, State};
+use nalgebra::Vector2;
 
-use crate::station::belief::Belief;
+use crate::station::belief::{Belief, Latents};
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
+use crate::station::sighting::Sighting;
 
 /// A flight in progress, seen from the ground.
 #[derive(Debug, Clone)]
@@ -32,6 +37,8 @@ pub struct Station {
     pilot: Pilot,
     belief: Belief,
     last: Option<(Telemetry, Command)>,
+    /// The newest report of those that come by themselves.
+    heard: Option<Telemetry>,
     records: Vec<Record>,
     missed: u64,
     policy: Option<PolicyOrigin>,
@@ -58,6 +65,7 @@ impl Station {
             world,
             pilot,
             last: None,
+            heard: None,
             records: Vec::new(),
             missed: 0,
             policy: None,
@@ -66,6 +74,11 @@ impl Station {
 
     /// The command for the interval that this percept begins.
     pub fn handle(&mut self, percept: &Percept) -> Command {
+        self.handle_at(percept, percept.telemetry.tick)
+    }
+
+    /// The command for interval `now`, where this percept is the newest and may be late: see [`Station::decide`].
+    pub fn handle_at(&mut self, percept: &Percept, now: Tick) -> Command {
         if let Some((before, command)) = self.last
             && percept.telemetry.tick <= before.tick
         {
@@ -73,12 +86,85 @@ impl Station {
         }
         self.close(&percept.telemetry);
         let heard = Heard::from(&percept.telemetry);
-        self.belief.observe(&self.world, &heard, &percept.frame);
-        let decision = self.pilot.decide(&self.belief, &percept.telemetry, &self.scenario.scale);
-        let command = self.command(percept.telemetry.tick, decision);
-        self.belief.ledger_mut().send(command.tick);
+        self.belief.hear(&heard);
+        if let Some(sighting) = Sighting::of_percept(&self.world, percept, self.scenario.obstacles.len()) {
+            self.belief.see(heard.tick, &sighting);
+        }
+        let command = self.answer(now.max(percept.telemetry.tick), &percept.telemetry);
         self.last = Some((percept.telemetry, command));
         command
+    }
+
+    /// A report has arrived, early or late, with or without its frame. Such a station decides by
+    /// [`Station::decide`], and writes no records.
+    pub fn hear(&mut self, telemetry: &Telemetry) {
+        self.belief.hear(&Heard::from(telemetry));
+        if self.heard.is_none_or(|newest| telemetry.tick > newest.tick) {
+            self.heard = Some(*telemetry);
+        }
+    }
+
+    /// What the frame of a tick shows has arrived, early or late.
+    pub fn see(&mut self, tick: Tick, sighting: &Sighting) {
+        self.belief.see(tick, sighting);
+    }
+
+    /// The command for interval `now`, from what has arrived so far; `None` while the controller has nothing to
+    /// go by. What is late counts as what it is: the belief is rolled forward, and so is what an oracle knows;
+    /// a reactive controller sees the newest report as it came.
+    pub fn decide(&mut self, now: Tick) -> Option<Command> {
+        let heard = self.heard?;
+        if self.pilot.sees_frames() {
+            self.belief.seen()?;
+        }
+        Some(self.answer(now, &heard))
+    }
+
+    /// The ticks of the newest frame and of the newest report that have arrived.
+    #[must_use]
+    pub fn newest(&self) -> [Option<Tick>; 2] {
+        [self.belief.seen(), self.heard.map(|heard| heard.tick)]
+    }
+
+    /// The latents of the newest frame.
+    #[must_use]
+    pub fn latents(&self) -> Latents {
+        self.belief.latents()
+    }
+
+    /// Whether the controller goes by frames and not by reports.
+    #[must_use]
+    pub fn sees_frames(&self) -> bool {
+        self.pilot.sees_frames()
+    }
+
+    fn answer(&mut self, now: Tick, telemetry: &Telemetry) -> Command {
+        let rolled = self.pilot.knows_equations().then(|| self.rolled(*telemetry, now));
+        let present = rolled.as_ref().unwrap_or(telemetry);
+        let decision = self.pilot.decide(now, &self.belief, present, &self.scenario.scale);
+        let command = self.command(now, decision);
+        self.belief.send(&command);
+        command
+    }
+
+    /// A report brought up to `now` by the equations of motion, without gusts. Obstacles are where they were.
+    fn rolled(&self, heard: Telemetry, now: Tick) -> Telemetry {
+        let scale = &self.scenario.scale;
+        let begin = State {
+            r: scale.paper_from_ned(heard.position),
+            v: scale.paper_from_ned_velocity(heard.velocity),
+        };
+        let flown = self.belief.actions(heard.tick, now);
+        let step = |at, a: &Vector2<f64>| dynamics::step(at, *a, Vector2::zeros(), &self.scenario.dynamics);
+        let State { r, v } = flown.iter().fold(begin, step);
+        match flown.is_empty() {
+            true => heard,
+            false => Telemetry {
+                position: scale.ned_from_paper(r),
+                velocity: scale.ned_from_paper_velocity(v),
+                ..heard
+            },
+        }
     }
 
     fn command(&self, tick: Tick, (motion, power): (Motion, TxPower)) -> Command {
@@ -90,7 +176,7 @@ impl Station {
     pub fn finish(&mut self, percept: &Percept) {
         if self.last.is_some_and(|(before, _)| percept.telemetry.tick > before.tick) {
             self.close(&percept.telemetry);
-            self.belief.ledger_mut().hear(&Heard::from(&percept.telemetry));
+            self.belief.hear(&Heard::from(&percept.telemetry));
             self.last = None;
         }
     }

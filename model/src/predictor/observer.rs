@@ -215,6 +215,17 @@ impl LatentObserver {
         Some(Estimate { y, v })
     }
 
+    /// Where the half is after further intervals in which these normalised accelerations are flown, oldest first:
+    /// the latent prediction, within the speed limit.
+    #[must_use]
+    pub fn ahead(&self, from: Estimate, flown: &[Vector2<f64>]) -> Estimate {
+        let mut state = Vector4::new(from.y.x, from.y.y, from.v.x, from.v.y);
+        for a in flown {
+            state = self.motion.step(&state, *a).0;
+        }
+        Estimate { y: state.fixed_rows::<2>(0).into_owned(), v: state.fixed_rows::<2>(2).into_owned() }
+    }
+
     /// How many times further off the readings of this window are than their encoder says: a camera that shakes, a
     /// ground that it has not seen. From second differences less what the actions add, whose median no lost body
     /// and no wall moves; at least 1.
@@ -459,6 +470,18 @@ mod tests {
         // A gap longer than the window leaves one frame, of which no speed is known.
         observer.observe(Vector2::new(3.0, 3.0), &[Vector2::zeros(); 100]);
         assert_eq!(observer.estimate().unwrap().v, Vector2::zeros());
+    }
+
+    #[test]
+    fn ahead_is_where_the_same_actions_lead() {
+        let mut rng = Noise::new(5).generator(Stream::Evaluation, 0);
+        let flight = flight(&motion(0.0), 40, 0.0, &mut rng);
+        let mut observer = LatentObserver::new(motion(0.0), 20);
+        flight[..=25].iter().for_each(|(y, a)| observer.observe(*y, &[*a]));
+        let flown: Vec<_> = flight[26..].iter().map(|(_, a)| *a).collect();
+        let now = observer.estimate().unwrap();
+        assert!(apart(observer.ahead(now, &flown), truth(&flight)) < 1e-6);
+        assert_eq!(observer.ahead(now, &[]), now);
     }
 
     #[test]

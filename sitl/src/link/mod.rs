@@ -15,6 +15,7 @@
 //! | [`messages`] | payloads by named fields: where in a message a field is |
 //! | [`wire`] | the table "our message, theirs", both directions |
 //! | [`image`] | a frame as PNG over the image transmission protocol |
+//! | [`latents`] | the latents of a frame in place of its picture |
 //! | [`endpoint`] | `udpin:HOST:PORT`, `udpout:`, `udpbcast:`, `tcpin:`, `tcpout:`, `serial:DEVICE:BAUD` |
 //! | [`links`] | several endpoints at once, as one source and sink of bytes |
 //! | [`param_file`] | `.param` files |
@@ -28,6 +29,7 @@ pub mod decoder;
 pub mod encoder;
 pub mod endpoint;
 pub mod image;
+pub mod latents;
 pub mod links;
 pub mod messages;
 pub mod packet;

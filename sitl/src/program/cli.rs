@@ -11,12 +11,13 @@ use crate::link::endpoint::{Endpoint, HostPort};
 use crate::link::links::Links;
 use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
+use crate::program::air::{self, AirGap};
 use crate::program::camera::CameraFlag;
 use crate::program::fleet;
 use crate::program::shell::{Ended, LINKS, Shell};
 use crate::program::terminal::{Signals, say, speed};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
-use crate::scenario::{Scenario, presets};
+use crate::scenario::{Rule, Scenario, presets};
 use crate::vehicle::geodesy::Home;
 use crate::vehicle::{Start, Vehicle};
 
@@ -61,6 +62,13 @@ pub struct Args {
     /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
+    /// What the radio carries: setpoints (the paper's gate); all, the scenario's radio for everything that is said
+    /// and heard; or a radio's preset or file, for everything. With --pace realtime
+    #[arg(long, value_name = "setpoints|all|FILE|NAME", default_value = air::SETPOINTS)]
+    pub radio: String,
+    /// Bandwidth of --radio all: intervals that a picture takes from the start
+    #[arg(long, value_name = "X", default_value = "1", value_parser = positive)]
+    pub picture_intervals: f64,
     /// Stop after N control intervals [default: never]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub ticks: Option<u64>,
@@ -132,8 +140,26 @@ impl Args {
 
     /// The scenario, opened if that was asked for.
     fn scenario(&self) -> Result<Scenario> {
-        let scenario = self.camera.scenario(&self.scenario)?;
+        let mut scenario = self.camera.scenario(&self.scenario)?;
+        if self.radio != air::SETPOINTS {
+            // What the radio for everything has carried passes no second gate.
+            scenario.radio.rule = Rule::Ideal;
+        }
         Ok(if self.open { scenario.open() } else { scenario })
+    }
+
+    /// The radio of each vehicle, if it carries everything.
+    fn airs(&self, scenario: &Scenario) -> Result<Vec<AirGap>> {
+        let Some(radio) = air::radio(&self.radio, scenario, self.picture_intervals)? else {
+            return Ok(Vec::new());
+        };
+        anyhow::ensure!(
+            self.pace == Pace::Realtime,
+            "--radio {}: needs --pace realtime, as in lockstep the vehicle waits for what is lost; `gcs episodes \
+             --radio` flies in process",
+            self.radio
+        );
+        (0..u64::from(self.instances)).map(|n| AirGap::new(radio.clone(), scenario, self.seed, n)).collect()
     }
 
     /// Each vehicle that was asked for.
@@ -166,13 +192,18 @@ impl Args {
     /// The vehicles behind their endpoints, shared or each its own.
     async fn shells(&self, scenario: &Scenario) -> Result<Vec<Shell>> {
         let (vehicles, endpoints) = (self.vehicles(scenario)?, self.endpoints());
+        let mut airs = self.airs(scenario)?;
         if self.shared || vehicles.len() == 1 {
-            return Ok(vec![Shell::over(Links::open(&endpoints, LINKS).await?, vehicles)]);
+            let mut shell = Shell::over(Links::open(&endpoints, LINKS).await?, vehicles);
+            shell.through_the_air(airs);
+            return Ok(vec![shell]);
         }
         let mut shells = Vec::with_capacity(vehicles.len());
         for (index, vehicle) in vehicles.into_iter().enumerate() {
             let own = fleet::endpoints(&endpoints, index).context("--instances: ports end at 65535")?;
-            shells.push(Shell::over(Links::open(&own, LINKS).await?, vec![vehicle]));
+            let mut shell = Shell::over(Links::open(&own, LINKS).await?, vec![vehicle]);
+            shell.through_the_air(airs.drain(..airs.len().min(1)).collect());
+            shells.push(shell);
         }
         Ok(shells)
     }

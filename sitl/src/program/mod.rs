@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`terminal`] | what `sitl`, `gcs` and `model` share: flags, log, output, errors, exit codes, signals |
 //! | [`renamed`] | words of the command line that have changed |
+//! | [`air`] | `--radio`: everything through the air |
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
 //! | [`files`] | files that are whole or absent |
@@ -12,6 +13,7 @@
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
+pub mod air;
 pub mod camera;
 pub mod cli;
 pub mod files;

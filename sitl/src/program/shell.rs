@@ -16,10 +16,13 @@ use tokio::net::UdpSocket;
 use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
+use crate::link::PeerId;
 use crate::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links};
 use crate::link::signing::{Signing, Store};
+use crate::program::air::AirGap;
 use crate::program::terminal::interrupted;
 use crate::program::timing::Histogram;
+use crate::radio::air::Way;
 use crate::vehicle::Vehicle;
 
 /// First pause before something is sent again.
@@ -86,6 +89,8 @@ pub struct Shell {
     lateness: Histogram,
     /// Where each vehicle keeps its key, if they do.
     stores: Vec<Store>,
+    /// The radio of each vehicle, if it carries everything; else none.
+    airs: Vec<AirGap>,
     /// Turns true when the flight is to end; without it, a signal ends it.
     stop: Option<watch::Receiver<bool>>,
 }
@@ -112,7 +117,22 @@ impl Shell {
             }
         }
         let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
-        Self { links, vehicles, start: Instant::now(), buffer, lateness, stores: Vec::new(), stop: None }
+        Self {
+            links,
+            vehicles,
+            start: Instant::now(),
+            buffer,
+            lateness,
+            stores: Vec::new(),
+            airs: Vec::new(),
+            stop: None,
+        }
+    }
+
+    /// Puts a radio between each vehicle and the endpoints, in the vehicles' order: for real time alone, as in
+    /// lockstep nothing would pass while it waits for what is lost.
+    pub fn through_the_air(&mut self, airs: Vec<AirGap>) {
+        self.airs = airs;
     }
 
     /// Ends the flight when `stop` turns true, in place of a signal.
@@ -219,8 +239,10 @@ impl Shell {
                 return ended;
             }
             let streams = self.next_stream();
+            let air = self.airs.iter().filter_map(AirGap::next_event).min().map(|due| self.start + due);
             tokio::select! {
                 arrival = self.links.receive(&mut self.buffer) => self.arrived(arrival),
+                () = until(air) => {}
                 due = timer.tick() => self.interval(due),
                 () = until(streams) => self.stream(),
                 _ = beat.tick() => self.beat(),
@@ -252,13 +274,51 @@ impl Shell {
 
     fn hand_over(&mut self, arrival: Arrival) {
         let now = self.start.elapsed();
+        for air in &mut self.airs {
+            match arrival {
+                Arrival::Bytes(from, length) => air.offer(Way::Up, from, &self.buffer[..length], now),
+                Arrival::Closed(peer) => air.closed(peer),
+                Arrival::Connected(_) => {}
+            }
+        }
         for vehicle in &mut self.vehicles {
             match arrival {
+                Arrival::Bytes(..) if !self.airs.is_empty() => {}
                 Arrival::Bytes(from, length) => vehicle.datagram(&self.buffer[..length], from, now),
                 Arrival::Connected(peer) => vehicle.connected(peer, now),
                 Arrival::Closed(peer) => vehicle.closed(peer),
             }
         }
+    }
+
+    /// Sends what the vehicles have to say, through their radios if they have any.
+    fn hand_down(&mut self) {
+        let now = self.start.elapsed();
+        for (n, vehicle) in self.vehicles.iter_mut().enumerate() {
+            while let Some((to, bytes)) = vehicle.poll() {
+                match self.airs.get_mut(n) {
+                    Some(air) => air.offer(Way::Down, to, &bytes, now),
+                    None => send(&mut self.links, to, &bytes),
+                }
+            }
+        }
+    }
+
+    /// Hands out what the radios have carried by now; whether any of it came up.
+    fn carry(&mut self) -> bool {
+        let now = self.start.elapsed();
+        let Self { links, vehicles, airs, .. } = self;
+        let mut any = false;
+        for (vehicle, air) in vehicles.iter_mut().zip(airs) {
+            let mut up = Vec::new();
+            air.poll(vehicle.sim(), now, |way, peer, bytes| match way {
+                Way::Up => up.push((peer, bytes.to_vec())),
+                Way::Down => send(links, peer, bytes),
+            });
+            up.iter().for_each(|(peer, bytes)| vehicle.datagram(bytes, *peer, now));
+            any |= !up.is_empty();
+        }
+        any
     }
 
     fn stream(&mut self) {
@@ -305,15 +365,19 @@ impl Shell {
     }
 
     async fn flush(&mut self) {
-        for vehicle in &mut self.vehicles {
-            while let Some((to, bytes)) = vehicle.poll() {
-                // A peer that has gone away is no reason to stop.
-                if let Err(error) = self.links.send(to, &bytes) {
-                    tracing::debug!(%to, "sending: {error}");
-                }
-            }
+        self.hand_down();
+        // What has come up may have answers.
+        while self.carry() {
+            self.hand_down();
         }
         self.links.flush().await;
+    }
+}
+
+/// A peer that has gone away is no reason to stop.
+fn send(links: &mut Links, to: PeerId, bytes: &[u8]) {
+    if let Err(error) = links.send(to, bytes) {
+        tracing::debug!(%to, "sending: {error}");
     }
 }
 

@@ -88,11 +88,36 @@ impl Telemetry {
     }
 }
 
+/// Numbers in a latent vector.
+pub const NUMBERS: usize = 16;
+
+/// A latent vector and how far off it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SentLatent {
+    /// z.
+    pub z: [f32; NUMBERS],
+    /// Standard deviation in units of the encoder's noise on a clean frame.
+    pub sigma_scale: f32,
+    /// What quantising adds to each number: its largest error.
+    pub half_step: f32,
+}
+
+/// The latents of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SentLatents {
+    /// Of the frame.
+    pub tick: Tick,
+    /// z_c, then z_u of each obstacle.
+    pub vectors: Vec<SentLatent>,
+}
+
 /// Everything that the vehicle sends at the start of a control interval.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Percept {
     /// The numbers.
     pub telemetry: Telemetry,
-    /// The frame.
+    /// The frame; black where it was encoded on board.
     pub frame: Arc<Frame>,
+    /// What the encoder made of the frame on board, if it was sent in place of it.
+    pub latents: Option<Arc<SentLatents>>,
 }

@@ -86,18 +86,29 @@ impl Gate {
         let outage = radio.rule != Rule::Ideal && channel::outage(radio.b_dt, snr, radio.packet_bits);
         match self.pending.take() {
             None => {}
-            Some(packet) if !outage => {
-                self.held = Some(Held { tick: packet.tick, accel: packet.accel });
-                if packet.tick == now {
-                    self.fates.delivered += 1;
-                } else {
-                    self.fates.delayed += 1;
-                }
-            }
+            Some(packet) if !outage => self.deliver(packet, now),
             Some(packet) if radio.rule == Rule::Queue => self.pending = Some(packet),
             Some(_) => self.fates.lost += 1,
         }
         LinkReport { snr_db: snr.to_db() as f32, power: self.power, outage }
+    }
+
+    /// Control interval `now` where another radio decides: what was submitted has arrived, and is held from now
+    /// on. The report is that radio's.
+    pub fn receive(&mut self, now: Tick, snr: Snr, outage: bool) -> LinkReport {
+        if let Some(packet) = self.pending.take() {
+            self.deliver(packet, now);
+        }
+        LinkReport { snr_db: snr.to_db() as f32, power: self.power, outage }
+    }
+
+    fn deliver(&mut self, packet: Command, now: Tick) {
+        self.held = Some(Held { tick: packet.tick, accel: packet.accel });
+        if packet.tick == now {
+            self.fates.delivered += 1;
+        } else {
+            self.fates.delayed += 1;
+        }
     }
 
     /// Forgets the held command and the one that waits, whose fate is then lost: the vehicle no longer

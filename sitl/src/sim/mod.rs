@@ -10,11 +10,11 @@ use std::sync::Arc;
 
 use nalgebra::Vector2;
 
-use crate::camera::{Film, Frame};
+use crate::camera::{Body, Film, Frame};
 use crate::radio::message::{Command, LinkReport, Percept, Telemetry};
 use crate::radio::{Fates, Gate};
 use crate::scenario::{CollisionAction, Scenario};
-use crate::units::{Tick, TxPower};
+use crate::units::{Snr, Tick, TxPower};
 use crate::world::World;
 use crate::world::contact::Contact;
 use crate::world::dynamics::State;
@@ -142,6 +142,12 @@ impl Sim {
         self.link = Some(self.gate.transmit(self.tick, snr, &self.scenario.radio));
     }
 
+    /// The first half of an interval where another radio than the scenario's gate carries the commands:
+    /// those that [`Sim::handle`] got have arrived, and `outage` is that radio's word.
+    pub fn receive(&mut self, snr: Snr, outage: bool) {
+        self.link = Some(self.gate.receive(self.tick, snr, outage));
+    }
+
     /// The second half: the obstacles move, and the UAV as [`Sim::set_control`] says.
     pub fn step(&mut self) {
         let before = self.telemetry();
@@ -218,10 +224,19 @@ impl Sim {
         self.film.frame(self.tick, &self.world.poses(&self.scenario))
     }
 
+    /// The same with other vehicles in it, which the camera draws as obstacles of this vehicle's size.
+    #[must_use]
+    pub fn frame_with(&self, others: &[State]) -> Frame {
+        let mut poses = self.world.poses(&self.scenario);
+        let body = |s: &State| Body { position: s.r, velocity: s.v, radius: self.scenario.uav_radius };
+        poses.obstacles = poses.obstacles.iter().copied().chain(others.iter().map(body)).collect();
+        self.film.frame(self.tick, &poses)
+    }
+
     /// Report and frame together.
     #[must_use]
     pub fn percept(&self) -> Percept {
-        Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()) }
+        Percept { telemetry: self.telemetry(), frame: Arc::new(self.frame()), latents: None }
     }
 }
 

@@ -3,8 +3,10 @@
 //! A state machine without socket and clock. A percept is handed out once, when its report and its
 //! frame are both there, in the order of ticks; parts that came before a repeat are kept, so a
 //! path that loses datagrams only delays. Stamps and the frame's own tick keep late parts of
-//! earlier ticks out.
+//! earlier ticks out. On a slow radio a frame may come when newer reports are there already:
+//! [`Remote::heard`] says how late it is.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,10 +17,11 @@ use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::image::{self, Reassembler};
+use crpl_sitl::link::latents;
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::{self, Clock, TelemetryReader};
-use crpl_sitl::radio::message::{Command, Percept, Telemetry};
+use crpl_sitl::radio::message::{Command, Percept, SentLatents, Telemetry};
 use crpl_sitl::units::Tick;
 
 use crate::tools::fleet::{Fleet, FlightMode, News};
@@ -52,10 +55,10 @@ pub struct Remote {
     system: u8,
     /// Reports in a row that are older than the newest.
     older: u32,
+    /// Of the percepts to come.
+    waiting: BTreeMap<Tick, Telemetry>,
     /// Of the percept to come.
-    report: Option<Telemetry>,
-    /// Of the percept to come.
-    frame: Option<(Tick, Frame)>,
+    frame: Option<(Tick, Frame, Option<SentLatents>)>,
     newest: Option<Tick>,
     command: Option<Command>,
     /// Repeats since the newest percept.
@@ -70,6 +73,9 @@ pub struct Remote {
 const REBOOT: u32 = 3;
 /// ArduCopter's mode BRAKE, and MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
 const BRAKE: [f32; 2] = [1.0, 17.0];
+
+/// Reports that wait for their frames.
+const MOST_WAITING: usize = 64;
 
 /// Repeats without a new percept after which the frames are asked for again.
 const PICTURES_MISSING: u32 = 5;
@@ -86,7 +92,7 @@ impl Remote {
             station,
             system,
             older: 0,
-            report: None,
+            waiting: BTreeMap::new(),
             frame: None,
             newest: None,
             command: None,
@@ -137,14 +143,18 @@ impl Remote {
             if self.newest == Some(report.tick) {
                 events.push(RemoteEvent::Repeat(report.tick));
             } else if self.newest < Some(report.tick) {
-                if self.report.is_none_or(|known| known.tick < report.tick) {
-                    self.images.clear();
+                self.waiting.insert(report.tick, report);
+                while self.waiting.len() > MOST_WAITING {
+                    self.waiting.pop_first();
                 }
-                self.report = Some(report);
             }
         } else if let Some((tick, frame)) = self.images.push(packet) {
             if self.newest < Some(tick) {
-                self.frame = Some((tick, frame));
+                self.frame = Some((tick, frame, None));
+            }
+        } else if let Some(sent) = latents::of(packet, &self.clock) {
+            if self.newest < Some(sent.tick) {
+                self.frame = Some((sent.tick, Frame::black(), Some(sent)));
             }
         } else if packet.is::<dialect::STATUSTEXT_DATA>()
             && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
@@ -167,12 +177,13 @@ impl Remote {
 
     /// The percept, if both of its parts are there.
     fn complete(&mut self) -> Option<Percept> {
-        let telemetry = self.report?;
-        let (_, frame) = self.frame.take_if(|(tick, _)| *tick == telemetry.tick)?;
-        self.report = None;
+        let (tick, ..) = self.frame.as_ref()?;
+        let telemetry = self.waiting.get(tick).copied()?;
+        let (tick, frame, latents) = self.frame.take()?;
+        self.waiting = self.waiting.split_off(&tick.next());
         self.newest = Some(telemetry.tick);
         self.repeats = 0;
-        Some(Percept { telemetry, frame: Arc::new(frame) })
+        Some(Percept { telemetry, frame: Arc::new(frame), latents: latents.map(Arc::new) })
     }
 
     /// The datagram of a command: power and setpoint, so that none comes without the other.
@@ -260,6 +271,12 @@ impl Remote {
     #[must_use]
     pub fn system(&self) -> u8 {
         self.system
+    }
+
+    /// Tick of the newest report, whose frame may still be on its way.
+    #[must_use]
+    pub fn heard(&self) -> Option<Tick> {
+        self.waiting.last_key_value().map(|(tick, _)| *tick).max(self.newest)
     }
 
     /// Tick of the newest complete percept.

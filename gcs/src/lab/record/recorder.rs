@@ -328,8 +328,8 @@ mod tests {
         recorder.begin().unwrap();
         let mut sim = Sim::new(Scenario::default(), 2);
         for _ in 0..55 {
-            let Percept { telemetry, frame } = sim.percept();
-            sim.handle(recorder.command(&Percept { telemetry, frame: Arc::clone(&frame) }));
+            let Percept { telemetry, frame, .. } = sim.percept();
+            sim.handle(recorder.command(&Percept { telemetry, frame: Arc::clone(&frame), latents: None }));
             recorder.sent();
             sim.advance();
         }

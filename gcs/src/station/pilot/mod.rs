@@ -30,12 +30,12 @@ use clap::ValueEnum;
 use crpl_model::world_model::StationHeads;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::Telemetry;
-use crpl_sitl::units::{Motion, Scale, TxPower};
+use crpl_sitl::units::{Motion, Scale, Tick, TxPower};
 use serde::{Deserialize, Serialize};
 
 use crate::station::belief::Belief;
 use crate::station::models::{ChosenPolicies, Models, PolicyOrigin, PolicyUse};
-use crate::station::seen::{Heard, MotionLimits, RadioConstants};
+use crate::station::seen::{MotionLimits, RadioConstants};
 use reactive::{Law, Present, Reactive, Task};
 
 /// The controllers by name.
@@ -152,16 +152,35 @@ impl Pilot {
         Ok((pilot, origin))
     }
 
-    /// Motion and power for the interval that begins. The only place that hands out information: `belief`
+    /// Whether it goes by frames; else by the vehicle's reports.
+    #[must_use]
+    pub fn sees_frames(&self) -> bool {
+        matches!(self, Self::Crpl(_) | Self::CrplBw(_) | Self::CrplRh(_))
+    }
+
+    /// Whether it may know the equations of motion in flight.
+    #[must_use]
+    pub fn knows_equations(&self) -> bool {
+        matches!(self, Self::Apc(_) | Self::ApcPaper(_) | Self::CrplExactLatents(_))
+    }
+
+    /// Motion and power for interval `now`. The only place that hands out information: `belief`
     /// comes from frames, `telemetry` holds the true state, `scale` converts it to the paper's units.
-    pub fn decide(&mut self, belief: &Belief, telemetry: &Telemetry, scale: &Scale) -> (Motion, TxPower) {
+    pub fn decide(
+        &mut self,
+        now: Tick,
+        belief: &Belief,
+        telemetry: &Telemetry,
+        scale: &Scale,
+    ) -> (Motion, TxPower) {
         let present = || Present::of(telemetry, scale);
+        let latents = || belief.latents_at(now);
         match self {
-            Self::Crpl(crpl) => crpl.decide(belief.latents()),
-            Self::CrplBw(crpl) => crpl.decide(belief.latents()),
-            Self::CrplRh(crpl) => crpl.decide(Heard::from(telemetry).tick, belief.latents()),
+            Self::Crpl(crpl) => crpl.decide(latents()),
+            Self::CrplBw(crpl) => crpl.decide(latents()),
+            Self::CrplRh(crpl) => crpl.decide(now, latents()),
             Self::CrplExactLatents(crpl) => crpl.decide(&present()),
-            Self::Apc(apc) => apc.decide(Heard::from(telemetry).tick, &present()),
+            Self::Apc(apc) => apc.decide(now, &present()),
             Self::ApcPaper(apc) => apc.decide(&present()),
             Self::Reactive(reactive) => reactive.decide(&present()),
         }

@@ -176,7 +176,8 @@ impl Reactive {
 }
 
 /// Clearance at which p_coll = δ1: d_min + τ_c ln((1 - δ1)/δ1).
-fn constrained_clearance(safety: &Safety) -> f64 {
+#[must_use]
+pub fn constrained_clearance(safety: &Safety) -> f64 {
     let delta = safety.collision_tolerance;
     safety.d_min + safety.softness * ((1.0 - delta) / delta).ln()
 }

@@ -40,7 +40,7 @@ use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use crpl_sitl::program::timing::Stopwatch;
-use crpl_sitl::radio::air::config::table;
+use crpl_sitl::radio::air::config::file::table;
 use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::radio::air::{Air, AirRadio, Way};
 use tokio::time::{Instant, sleep_until};
@@ -112,7 +112,7 @@ pub struct RadioLink {
 /// Datagrams and parts of streams that are read before what they bring is sent.
 const BURST: usize = 128;
 /// As a router's: a tool that does not read misses what it cannot take.
-const LINKS: LinkOptions = LinkOptions {
+pub(crate) const LINKS: LinkOptions = LinkOptions {
     backlog: Backlog::Drop(1 << 20),
     connects_later: true,
     max_streams: 512,

@@ -1,4 +1,4 @@
-//! The image transmission protocol.
+//! The image transmission protocol, and what a companion sends in place of an image.
 
 views! {
     /// An image request or announcement.
@@ -25,5 +25,17 @@ views! {
         0 => seq: u16,
         /// Its bytes; the last part has zeros behind the image's end.
         2 => data: [u8; 253],
+    }
+
+    /// A payload of a vendor's own.
+    Tunnel = TUNNEL_DATA {
+        /// Its type.
+        0 => kind: u16,
+        /// System and component; 0 is everybody.
+        2 => target: [u8; 2],
+        /// Bytes of the payload that count.
+        4 => length: u8,
+        /// The payload.
+        5 => payload: [u8; 128],
     }
 }

@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 
 use super::command::{CommandAck, CommandInt, CommandLong, SetMode};
-use super::image::{EncapsulatedData, Handshake};
+use super::image::{EncapsulatedData, Handshake, Tunnel};
 use super::mission::{
     MissionAck, MissionCount, MissionItem, MissionList, MissionPartialList, MissionRequest,
     MissionSetCurrent, Place, address_of,
@@ -431,6 +431,15 @@ fn images() {
     agree(&message, fields);
     let data = std::array::from_fn(|k| k as u8 + 1);
     agree(&ENCAPSULATED_DATA_DATA { seqnr: 513, data }, EncapsulatedData { seq: 513, data });
+    let payload = std::array::from_fn(|k| k as u8 + 1);
+    let message = TUNNEL_DATA {
+        payload_type: MavTunnelPayloadType::default(),
+        target_system: 2,
+        target_component: 3,
+        payload_length: 9,
+        payload,
+    };
+    agree(&message, Tunnel { kind: 0, target: [2, 3], length: 9, payload });
 }
 
 #[test]

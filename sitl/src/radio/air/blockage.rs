@@ -109,6 +109,11 @@ impl Surroundings {
         Self { discs, prisms }
     }
 
+    /// The discs stand here from now on.
+    pub fn set_discs(&mut self, discs: Vec<DiscObstacle>) {
+        self.discs = discs;
+    }
+
     /// Whether nothing stands around.
     #[must_use]
     pub fn is_empty(&self) -> bool {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::blockage::Surroundings;
+use super::blockage::{DiscObstacle, Surroundings};
 use super::config::{AirEnd, AirRadio, PathModel, RadioError, SightRule};
 use super::fading::{ShadowField, normal_distribution};
 use super::pathloss::{self, Ends};
@@ -82,6 +82,17 @@ impl AirChannel {
     pub fn set_base(&mut self, [north, east, ground]: [f64; 3]) {
         self.radio.ground.place = [north, east];
         self.radio.ground.height_m += ground;
+    }
+
+    /// The station transmits at this level, or at its highest.
+    pub fn set_power(&mut self, level: usize) {
+        let last = self.radio.ground.powers_dbm.len().saturating_sub(1);
+        self.radio.ground.power = level.min(last);
+    }
+
+    /// The upright cylinders stand here.
+    pub fn set_discs(&mut self, discs: Vec<DiscObstacle>) {
+        self.around.set_discs(discs);
     }
 
     /// The seed's chance.

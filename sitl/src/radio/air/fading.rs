@@ -72,7 +72,7 @@ impl Default for Shadowing {
 const WAVES: usize = 256;
 
 /// A Gaussian field over the ground with mean 0, variance 1 and correlation e^(-d / distance): M. Gudmundson,
-/// Electron. Lett. 27(23), 1991, Eq. (1). It is the sum of plane waves with that spectrum, so it is a function of
+/// Electron. Lett. 27(23), 1991. It is the sum of plane waves with that spectrum, so it is a function of
 /// seed and place alone.
 #[derive(Debug, Clone)]
 pub struct ShadowField {

@@ -10,6 +10,7 @@
 //! | [`fading`] | Rician fading by slot, shadowing by place |
 //! | [`rate`] | SNR to rate, SNR to loss |
 //! | [`config`] | a radio as a file, and the presets |
+//! | [`scenic`] | the radio of a scenario, for whole frames |
 //! | [`channel`] | all of the above: geometry to SNR |
 //! | [`modem`] | queue, air time, repetition, time slots, delay |
 //! | [`track`] | where a vehicle was, by time |
@@ -21,6 +22,7 @@ pub mod fading;
 pub mod modem;
 pub mod pathloss;
 pub mod rate;
+pub mod scenic;
 pub mod track;
 
 pub use channel::Way;

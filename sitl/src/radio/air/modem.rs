@@ -11,6 +11,7 @@ use std::time::Duration;
 use nalgebra::Vector3;
 use rand::RngExt;
 
+use super::blockage::DiscObstacle;
 use super::channel::{AirChannel, LinkBudget, Way, mix};
 use super::config::{AirRadio, Duplex, Modem, RadioError};
 use crate::units::noise::Stream;
@@ -206,6 +207,29 @@ impl<T> Air<T> {
         for lane in &mut self.lanes {
             lane.budget = None;
         }
+    }
+
+    /// The station transmits at this level from now on, an index of its `powers_dbm`; the highest where there is no
+    /// such level.
+    pub fn set_power(&mut self, level: usize) {
+        self.channel.set_power(level);
+        for lane in &mut self.lanes {
+            lane.budget = None;
+        }
+    }
+
+    /// The upright cylinders stand here from now on.
+    pub fn set_discs(&mut self, discs: Vec<DiscObstacle>) {
+        self.channel.set_discs(discs);
+        for lane in &mut self.lanes {
+            lane.budget = None;
+        }
+    }
+
+    /// Bytes that wait for their turn or are on the air.
+    #[must_use]
+    pub fn waiting(&self, way: Way) -> usize {
+        self.lanes[way as usize].queued_bytes
     }
 
     /// A frame is handed to the sender of its way. Call [`Air::poll`] up to `now` first.

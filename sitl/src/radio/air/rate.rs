@@ -91,7 +91,7 @@ pub enum FrameError {
         width_db: f64,
     },
     /// Any wrong bit loses it. Binary FSK without coherence, P_b = 1/2 e^(-E_b / 2 N_0) with E_b / N_0 = γ B / R:
-    /// J. G. Proakis, Digital Communications, 4th ed., Eq. (5.4-47).
+    /// J. G. Proakis, Digital Communications, on noncoherent FSK.
     Fsk,
     /// The same with the Golay code (24, 12) of SiK's ECC: a word with more than 3 wrong bits of 24 loses it. The
     /// rate is the user's; on the air are twice as many bits.
@@ -119,7 +119,7 @@ impl FrameError {
     }
 }
 
-/// 1/2 e^(-E_b / 2 N_0); Proakis, Eq. (5.4-47).
+/// 1/2 e^(-E_b / 2 N_0), binary FSK without coherence.
 #[must_use]
 pub fn fsk_bit_error(energy_per_bit: f64) -> f64 {
     0.5 * (-energy_per_bit / 2.0).exp()
