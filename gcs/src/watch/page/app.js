@@ -47,24 +47,29 @@ function rebuild() {
 
 // ---- the feed ----
 
+const RETRY_MS = 1500;
+
+/** Opens the feed. After a break it is read again from the beginning: the program may be another one. */
 function listen() {
   page.live = true;
   const source = new EventSource("/events");
   let opened = false;
   source.onopen = () => {
-    // The server tells everything again, so that nothing is missing and nothing counts twice.
-    if (opened) clearAll();
+    if (!opened && store.version > 0) clearAll();
     opened = true;
+    page.broken = false;
+    showState();
   };
   source.onmessage = (event) => {
     store.take(event.data);
     if (store.end) source.close();
   };
   source.onerror = () => {
-    page.broken = !store.end;
+    source.close();
+    page.broken = true;
     showState();
+    setTimeout(listen, RETRY_MS);
   };
-  // A page that is shown again after a while in the background has missed nothing: the feed went on.
 }
 
 function readInside(script) {
@@ -131,7 +136,7 @@ function showClock() {
   const tick = Math.floor(playback.tick);
   scrub.max = store.head;
   scrub.value = tick;
-  const text = `${tick} of ${store.head}, ${(tick * store.intervalSeconds).toFixed(1)} s`;
+  const text = `${tick} / ${store.head}, ${(tick * store.intervalSeconds).toFixed(1)} s`;
   if (find("#clock").textContent !== text) {
     find("#clock").textContent = text;
     scrub.setAttribute("aria-valuetext", `interval ${text}`);
@@ -158,8 +163,7 @@ function showHello() {
   const seed = hello?.seed === undefined || hello.seed === null ? "" : `, seed ${hello.seed}`;
   find("#title").textContent = hello?.title ?? "CRPL";
   find("#title").title = [scenario.name, hello?.revision].filter(Boolean).join(", ") + seed;
-  document.title = `${hello?.title ?? "CRPL"}${scenario.name ? `: ${scenario.name}` : ""}`;
-  find("#field-title").textContent = scenario.name ? `Field: ${scenario.name}` : "Field";
+  document.title = hello?.title ?? "CRPL";
   find("#control").hidden = !(hello?.control && page.live);
   find("#rate-title").textContent = hello?.rate_unit ? `Rate, ${hello.rate_unit}` : "Rate";
   showScale();
@@ -234,7 +238,10 @@ function showPanels(now) {
     study.update();
   }
   const shadow = flight?.fields.at(playback.tick);
-  find("#snr-scale-title").textContent = `SNR at power ${shadow?.power ?? store.powers[0]}, dB`;
+  const { gamma_min_db: gamma, rate_snr_db: rate } = store.limits;
+  const dashed = rate === undefined ? "" : `, dashed: rate met from ${rate.toFixed(1)}`;
+  find("#snr-scale-title").textContent =
+    `SNR at power ${shadow?.power ?? store.powers[0]}, dB; solid: \u03b3 min ${gamma.toFixed(1)}${dashed}`;
   find("#field").setAttribute("aria-label", describeField(flight));
   showState();
   page.panelsAt = now;

@@ -4,15 +4,15 @@
 /** What a chart of the page has in common: colours, fonts, no legend, the width of its box. */
 class Chart {
   /** `series` are uPlot's; `draw(u)` adds lines and marks; `pick(x)` is told where the chart was clicked. */
-  constructor(box, { series, range, draw, pick, height = 6.2, points = false, log = false, xValues }) {
+  constructor(box, { series, range, draw, pick, height = 6.2, log = false, splits }) {
     this.box = box;
-    this.options = { series, range, draw, pick, height, points, log, xValues };
+    this.options = { series, range, draw, pick, height, log, splits };
     this.data = [[], ...series.map(() => [])];
   }
 
   /** Builds the chart anew, for a new theme or a new size. */
   build(theme) {
-    const { series, range, draw, pick, height, log, xValues } = this.options;
+    const { series, range, draw, pick, height, log, splits } = this.options;
     this.plot?.destroy();
     const rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
     const axis = {
@@ -24,14 +24,15 @@ class Chart {
     };
     const options = {
       width: Math.max(80, this.box.clientWidth),
-      height: height * rem,
+      // A tall screen gets taller charts.
+      height: height * rem * Math.max(1, Math.min(1.5, innerHeight / (60 * rem))),
       legend: { show: false },
       cursor: { drag: { x: false, y: false }, points: { show: false }, y: false },
       padding: [0.4 * rem, 0.5 * rem, 0, 0],
       scales: { x: { time: false }, y: { range, distr: log ? 3 : 1 } },
       axes: [
-        { ...axis, size: 1.5 * rem, space: 3.5 * rem, values: xValues },
-        { ...axis, size: 2.9 * rem, space: 1.5 * rem },
+        { ...axis, size: 1.5 * rem, space: 3.5 * rem },
+        { ...axis, size: 2.9 * rem, space: 1.5 * rem, splits },
       ],
       series: [{}, ...series.map((one) => ({ points: { show: false }, width: 1.5, ...one, stroke: theme[one.ink] }))],
       hooks: { draw: draw ? [(u) => draw(u, theme)] : [] },
@@ -134,6 +135,7 @@ class Strips {
           steps(u, high, theme.high);
         },
         pick,
+        splits: () => [0, ...store.powers],
         height: 4.6,
       }),
       rate: new Chart(box("rate"), {
@@ -221,11 +223,11 @@ class Horizon {
     for (const chart of Object.values(this.charts)) chart.build(theme);
   }
 
-  /** Element i of a prediction is interval tick + 1 + i. */
+  /** Element i of a prediction is of interval tick + i, as the record's lines are. */
   update(flight, belief) {
     if (!belief) return;
     const length = Math.max(...["snr_db", "outage", "risk"].map((key) => belief[key]?.length ?? 0));
-    const ticks = Array.from({ length }, (_, k) => belief.tick + 1 + k);
+    const ticks = Array.from({ length }, (_, k) => belief.tick + k);
     const record = new Map(flight.record.values.map((line) => [line.tick, line]));
     const happened = {
       snr_db: (line) => finite(line?.snr_db),

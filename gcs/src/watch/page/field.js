@@ -115,36 +115,41 @@ class FieldView {
     const cells = this.shadow.begin(`${field.vehicle}:${field.tick}:${this.theme.name}`, n, n, 1);
     cells?.putImageData(image, 0, 0);
     const [west, south, east, north] = map.bounds;
-    const [x, y] = [map.x(west), map.y(north)];
+    const [x0, y0] = [map.x(west), map.y(north)];
     const [width, height] = [map.scale * (east - west), map.scale * (north - south)];
     context.save();
     context.beginPath();
-    context.rect(x, y, width, height);
+    context.rect(x0, y0, width, height);
     context.clip();
     context.imageSmoothingQuality = "high";
-    context.drawImage(this.shadow.canvas, x, y, width, height);
+    context.drawImage(this.shadow.canvas, x0, y0, width, height);
     const { gamma_min_db: least, rate_snr_db: rate } = this.store.limits;
-    const cell = (value) => (value + 0.5) / n;
-    const lines = [[rate, [6, 4], "rate"], [least, [], "\u03b3 min"]];
+    const place = (x, y) => [x0 + (width * (x + 0.5)) / n, y0 + height * (1 - (y + 0.5) / n)];
+    const lines = [[rate, [6, 4], "rate", 0.7], [least, [], "\u03b3 min", 0.85]];
     context.strokeStyle = this.theme.contour;
     context.lineWidth = 1;
-    for (const [level, dash, name] of lines) {
+    for (const [level, dash, name, share] of lines) {
       if (level === undefined) continue;
       context.setLineDash(dash);
       context.beginPath();
       const segments = contour(values, n, level);
-      for (const [x0, y0, x1, y1] of segments) {
-        context.moveTo(x + width * cell(x0), y + height * (1 - cell(y0)));
-        context.lineTo(x + width * cell(x1), y + height * (1 - cell(y1)));
+      for (const [ax, ay, bx, by] of segments) {
+        context.moveTo(...place(ax, ay));
+        context.lineTo(...place(bx, by));
       }
       context.stroke();
-      const top = segments.reduce((best, s) => (s[1] > (best?.[1] ?? -1) && s[0] > n / 2 ? s : best), null);
-      if (top) {
-        this.text(context, name, x + width * cell(top[0]) + 4, y + height * (1 - cell(top[1])) + 0.8 * this.rem,
-          { colour: this.theme.contour, size: 0.75 });
-      }
+      this.contourName(context, segments, name, share * n, place);
     }
     context.restore();
+  }
+
+  /** Writes a contour's name beside its right branch, near `height` in cells. */
+  contourName(context, segments, name, height, place) {
+    const distance = ([x, y]) => Math.abs(y - height) - x * 1e-3;
+    const [nearest] = segments.toSorted((a, b) => distance(a) - distance(b));
+    if (!nearest) return;
+    const [x, y] = place(nearest[0], nearest[1]);
+    this.text(context, name, x + 5, y + 4, { colour: this.theme.contour, size: 0.75 });
   }
 
   /** Red, green, blue of an SNR in dB. */
@@ -253,6 +258,7 @@ class FieldView {
   }
 
   text(context, words, x, y, { align = "left", colour = this.theme.ink, size = 0.82, weight = 400 } = {}) {
+    context.save();
     context.font = `${weight} ${size * this.rem}px system-ui, sans-serif`;
     context.textAlign = align;
     context.setLineDash([]);
@@ -261,6 +267,7 @@ class FieldView {
     context.strokeText(words, x, y);
     context.fillStyle = colour;
     context.fillText(words, x, y);
+    context.restore();
   }
 
   // ---- what moves ----

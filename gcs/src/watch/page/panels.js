@@ -41,6 +41,13 @@ function fillList(list, pairs) {
   });
 }
 
+/** Pairs of a name and a shown value; what lies one level deeper carries both names. */
+function flat(name, value, depth = 0) {
+  if (value === null || typeof value !== "object") return [[name, shown(value, 4)]];
+  if (Array.isArray(value) || depth > 1) return [];
+  return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
+}
+
 class Panels {
   constructor(root, store) {
     this.root = root;
@@ -184,8 +191,8 @@ class Panels {
     const { end, progress } = this.store;
     this.find("#summary").hidden = !end?.summary;
     if (end?.summary) {
-      const values = Object.entries(end.summary).filter(([, value]) => value === null || typeof value !== "object");
-      fillList(this.find("#summary-values"), values.map(([name, value]) => [name, shown(value, 4)]));
+      const values = Object.entries(end.summary).flatMap(([name, value]) => flat(name, value));
+      fillList(this.find("#summary-values"), values);
     }
     this.find("#progress").hidden = !progress;
     if (progress) {
