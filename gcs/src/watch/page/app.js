@@ -74,6 +74,7 @@ function listen() {
 
 function readInside(script) {
   for (const line of script.textContent.split("\n")) store.take(line);
+  page.closed = true;
 }
 
 function clearAll() {
@@ -164,6 +165,7 @@ function showHello() {
   find("#title").textContent = hello?.title ?? "CRPL";
   find("#title").title = [scenario.name, hello?.revision].filter(Boolean).join(", ") + seed;
   document.title = hello?.title ?? "CRPL";
+  find("#field-title").textContent = store.local ? "Map" : "Field";
   find("#control").hidden = !(hello?.control && page.live);
   find("#rate-title").textContent = hello?.rate_unit ? `Rate, ${hello.rate_unit}` : "Rate";
   showScale();
@@ -193,7 +195,7 @@ function showVehicles() {
   flights.forEach((flight, k) => {
     const button = group.children[k] ?? group.appendChild(document.createElement("button"));
     button.type = "button";
-    button.textContent = `${flight.id} ${flight.name}`;
+    button.textContent = flight.name === String(flight.id) ? `Vehicle ${flight.id}` : `${flight.id} ${flight.name}`;
     button.setAttribute("aria-pressed", String(flight.id === page.selected));
     button.onclick = () => select(flight.id);
   });
@@ -238,6 +240,7 @@ function showPanels(now) {
     study.update();
   }
   const shadow = flight?.fields.at(playback.tick);
+  find("#snr-scale").hidden = !shadow;
   const { gamma_min_db: gamma, rate_snr_db: rate } = store.limits;
   const dashed = rate === undefined ? "" : `, dashed: rate met from ${rate.toFixed(1)}`;
   find("#snr-scale-title").textContent =
@@ -259,7 +262,7 @@ function frame(now) {
   requestAnimationFrame(frame);
   const seconds = Math.max(0, Math.min(0.25, (now - before) / 1000));
   before = now;
-  if (store.end && !page.ended) onEnd();
+  if ((store.end || page.closed) && !page.ended) onEnd();
   const wasRunning = playback.playing;
   playback.advance(seconds, store.head, store.intervalSeconds);
   if (wasRunning !== playback.playing) showTransport();

@@ -4,15 +4,15 @@
 /** What a chart of the page has in common: colours, fonts, no legend, the width of its box. */
 class Chart {
   /** `series` are uPlot's; `draw(u)` adds lines and marks; `pick(x)` is told where the chart was clicked. */
-  constructor(box, { series, range, draw, pick, height = 6.2, log = false, splits }) {
+  constructor(box, { series, range, draw, pick, height = 6.2, log = false, splits, xRange }) {
     this.box = box;
-    this.options = { series, range, draw, pick, height, log, splits };
+    this.options = { series, range, draw, pick, height, log, splits, xRange };
     this.data = [[], ...series.map(() => [])];
   }
 
   /** Builds the chart anew, for a new theme or a new size. */
   build(theme) {
-    const { series, range, draw, pick, height, log, splits } = this.options;
+    const { series, range, draw, pick, height, log, splits, xRange } = this.options;
     this.plot?.destroy();
     const rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
     const axis = {
@@ -29,7 +29,7 @@ class Chart {
       legend: { show: false },
       cursor: { drag: { x: false, y: false }, points: { show: false }, y: false },
       padding: [0.4 * rem, 0.5 * rem, 0, 0],
-      scales: { x: { time: false }, y: { range, distr: log ? 3 : 1 } },
+      scales: { x: { time: false, range: xRange }, y: { range, distr: log ? 3 : 1 } },
       axes: [
         { ...axis, size: 1.5 * rem, space: 3.5 * rem },
         { ...axis, size: 2.9 * rem, space: 1.5 * rem, splits },

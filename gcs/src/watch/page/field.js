@@ -34,7 +34,7 @@ class FieldView {
     this.trails = new Layer();
     this.drawn = new Map();
     this.shadow = new Layer();
-    this.show = { shadow: true, fan: true, future: true };
+    this.show = { shadow: true, fan: true, future: true, names: true };
     this.size = [0, 0];
   }
 
@@ -85,7 +85,7 @@ class FieldView {
     const { store, map } = this;
     const key = [
       field ? `${flight.id}:${field.tick}:${field.power}` : "", map.bounds, this.theme.name,
-      store.seen.hello, store.seen.geo, this.rem,
+      store.seen.hello, store.seen.geo, this.rem, this.show.names,
     ].join("|");
     const context = this.ground.begin(key, ...this.size, this.ratio);
     if (!context) return;
@@ -97,7 +97,7 @@ class FieldView {
     }
     if (field) this.paintShadow(context, field);
     this.grid(context);
-    if (store.geo?.buildings) this.buildings(context);
+    if (store.rings.length > 0) this.buildings(context);
     this.places(context);
     this.scaleBar(context);
   }
@@ -182,7 +182,7 @@ class FieldView {
 
   buildings(context) {
     context.beginPath();
-    for (const ring of ringsOf(this.store.geo.buildings, this.store.geo.origin)) {
+    for (const ring of this.store.rings) {
       ring.forEach(([x, y], k) => {
         if (k === 0) context.moveTo(this.map.x(x), this.map.y(y));
         else context.lineTo(this.map.x(x), this.map.y(y));
@@ -258,6 +258,7 @@ class FieldView {
   }
 
   text(context, words, x, y, { align = "left", colour = this.theme.ink, size = 0.82, weight = 400 } = {}) {
+    if (!this.show.names) return;
     context.save();
     context.font = `${weight} ${size * this.rem}px system-ui, sans-serif`;
     context.textAlign = align;

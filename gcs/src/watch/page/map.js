@@ -59,22 +59,11 @@ function niceBelow(value) {
   return [5, 2, 1].map((digit) => digit * power).find((nice) => nice <= value * (1 + 1e-9)) ?? power;
 }
 
-/** What has to fit into a local map: the flights up to now, the buildings, the scenario's places. */
+/** Bounds of a local map: the flights, the buildings and the scenario's places, with room about them. */
 function localBounds(store) {
-  let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
-  const include = (point) => {
-    if (!Array.isArray(point) || !point.every(Number.isFinite)) return;
-    [west, south] = [Math.min(west, point[0]), Math.min(south, point[1])];
-    [east, north] = [Math.max(east, point[0]), Math.max(north, point[1])];
-  };
-  for (const flight of store.flights.values()) {
-    for (const line of flight.record.values) include(line.r);
-  }
   const { start, goal, channel } = store.scenario;
-  [start, goal, channel?.base_station].forEach(include);
-  for (const ring of store.geo?.buildings ? ringsOf(store.geo.buildings, store.geo.origin) : []) {
-    ring.forEach(include);
-  }
+  [start, goal, channel?.base_station].forEach((place) => store.include(place));
+  const [west, south, east, north] = store.extent;
   if (west > east) return [-50, -50, 50, 50];
   // A margin of a tenth, and never less than 20 m across; rounded, so that a flight does not shake the map.
   const step = niceBelow(Math.max(east - west, north - south, 20) / 4);

@@ -80,6 +80,7 @@ class Panels {
     const unit = (value) => (this.store.local ? `${shown(value, 1)} m` : shown(value));
     const speed = line?.v ? Math.hypot(...line.v) : null;
     const perSecond = this.store.local ? 1 : metres / this.store.intervalSeconds;
+    const known = ([, value]) => !line || !value.startsWith("\u2013");
     fillList(this.find("#readout"), [
       ["interval", line ? String(line.tick) : "\u2013"],
       ["time", line ? `${(line.tick * this.store.intervalSeconds).toFixed(1)} s` : "\u2013"],
@@ -91,7 +92,7 @@ class Panels {
       ["energy sent", shown(flown.reduce((sum, one) => sum + (one.power ?? 0), 0))],
       ["outages", `${flown.filter((one) => one.outage).length} of ${flown.length}`],
       ["collisions", String(flown.filter((one) => one.collided).length)],
-    ]);
+    ].filter(known));
     for (const [name, text] of Object.entries({
       snr: line ? `${shown(line.snr_db, 1)} dB` : "",
       risk: line ? shown(line.p_coll, 4) : "",
@@ -105,6 +106,7 @@ class Panels {
   belief(flight, tick) {
     const belief = flight?.beliefs.at(tick);
     this.find("#belief").classList.toggle("absent", !flight || flight.beliefs.length === 0);
+    this.find(".seen").hidden = !flight || flight.pictures.length === 0;
     const line = belief && flight.record.at(belief.tick);
     const off = belief?.position && line?.tick === belief.tick && line.r
       ? Math.hypot(belief.position[0] - line.r[0], belief.position[1] - line.r[1])
@@ -139,6 +141,7 @@ class Panels {
   }
 
   ledger(flight, tick) {
+    this.find("#ledger").hidden = !flight || (flight.commands.length === 0 && flight.record.length > 0);
     const until = flight ? flight.commands.index(tick) : -1;
     const key = `${flight?.id}:${until}:${flight?.commands.length}:${this.store.seen.command}`;
     if (key === this.ledgerKey) return;
@@ -172,6 +175,7 @@ class Panels {
 
   log() {
     const { log } = this.store;
+    this.find("#log").hidden = log.length === 0;
     if (this.store.seen.log === this.logged) return;
     const fresh = Math.min(log.length, (this.store.seen.log ?? 0) - this.logged);
     this.logged = this.store.seen.log ?? 0;
@@ -189,11 +193,9 @@ class Panels {
 
   summary() {
     const { end, progress } = this.store;
-    this.find("#summary").hidden = !end?.summary;
-    if (end?.summary) {
-      const values = Object.entries(end.summary).flatMap(([name, value]) => flat(name, value));
-      fillList(this.find("#summary-values"), values);
-    }
+    const values = Object.entries(end?.summary ?? {}).flatMap(([name, value]) => flat(name, value));
+    this.find("#summary").hidden = values.length === 0;
+    fillList(this.find("#summary-values"), values);
     this.find("#progress").hidden = !progress;
     if (progress) {
       const bar = this.find("#progress progress");

@@ -79,7 +79,17 @@ class Store {
     this.curves = new Map();
     this.points = [];
     this.geo = null;
+    this.rings = [];
     this.end = null;
+    this.extent = [Infinity, Infinity, -Infinity, -Infinity];
+  }
+
+  /** Widens what a local map has to show: west, south, east, north. */
+  include(point) {
+    if (!Array.isArray(point) || !point.every(Number.isFinite)) return;
+    const [west, south, east, north] = this.extent;
+    const [x, y] = point;
+    this.extent = [Math.min(west, x), Math.min(south, y), Math.max(east, x), Math.max(north, y)];
   }
 
   /** Takes one line of the feed; a line that is no JSON, or of an unknown kind, is counted. */
@@ -159,7 +169,10 @@ Store.kinds = {
     }
   },
   field: (store, m) => store.flight(m.vehicle).fields.put(m.tick, m),
-  tick: (store, m) => store.flight(m.vehicle).record.put(m.tick, m),
+  tick(store, m) {
+    store.flight(m.vehicle).record.put(m.tick, m);
+    store.include(m.r);
+  },
   belief: (store, m) => store.flight(m.vehicle).beliefs.put(m.tick, m),
   picture: (store, m) => store.flight(m.vehicle).pictures.put(m.tick, m),
   command: (store, m) => store.flight(m.vehicle).commands.put(m.tick, m),
@@ -178,6 +191,8 @@ Store.kinds = {
   point: (store, m) => store.points.push(m),
   geo(store, m) {
     store.geo = m;
+    store.rings = m.buildings ? ringsOf(m.buildings, m.origin) : [];
+    store.rings.flat().forEach((point) => store.include(point));
   },
   end(store, m) {
     store.end = m;

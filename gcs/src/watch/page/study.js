@@ -14,7 +14,9 @@ function whiskers(u, groups, theme) {
     u.ctx.fillStyle = k < 4 ? colour : theme.panel;
     u.ctx.lineWidth = 1.5 * ratio;
     for (const { x, value, low, high } of points) {
-      const [px, py] = [u.valToPos(x, "x", true), u.valToPos(value, "y", true)];
+      // Side by side, so that no whisker hides another.
+      const aside = (k - (groups.size - 1) / 2) * 1.4 * size;
+      const [px, py] = [u.valToPos(x, "x", true) + aside, u.valToPos(value, "y", true)];
       u.ctx.beginPath();
       if (Number.isFinite(low) && Number.isFinite(high)) {
         u.ctx.moveTo(px, u.valToPos(low, "y", true));
@@ -127,6 +129,7 @@ class Study {
   metric(metric, groups) {
     const chart = this.figure(metric, {
       series: [{ ink: "ink", width: 0 }, { ink: "ink", width: 0 }],
+      xRange: (u, low, high) => [low - (high - low || 1) * 0.08, high + (high - low || 1) * 0.08],
       draw: (u, theme) => whiskers(u, chart.groups ?? new Map(), theme),
     });
     chart.groups = groups;
