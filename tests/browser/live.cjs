@@ -52,7 +52,7 @@ async function keys(page) {
   same(await standing(page), before, "paused");
   await page.keyboard.press("?");
   check(await page.locator("#help-dialog").isVisible(), "no help");
-  await page.keyboard.press("Escape");
+  await page.getByRole("button", { name: "Close" }).click();
   check(!(await page.locator("#help-dialog").isVisible()), "help stays");
 }
 

@@ -4,6 +4,9 @@
 /** The SNR's colour scale reaches so far to both sides of the rate's threshold, dB. */
 const SNR_REACH_DB = 10;
 
+/** Points of the path that is still to come; of more, some are left out. */
+const FUTURE_POINTS = 500;
+
 /** An offscreen layer that is painted again only when its key changes. */
 class Layer {
   constructor() {
@@ -360,7 +363,8 @@ class FieldView {
     const first = record.index(tick);
     if (first < 0 || first + 1 >= record.length) return;
     context.beginPath();
-    for (let at = first; at < record.length; at += 1) {
+    const stride = Math.ceil((record.length - first) / FUTURE_POINTS);
+    for (let at = first; at < record.length; at += stride) {
       const { r } = record.values[at];
       if (!r) continue;
       if (at === first) context.moveTo(this.map.x(r[0]), this.map.y(r[1]));

@@ -199,6 +199,9 @@ Store.kinds = {
   },
 };
 
+/** A follower that is more intervals behind than this jumps to the head. */
+const FAR_BEHIND = 600;
+
 /** Playback: where in the flight the page stands, in intervals. Knows no screen. */
 class Playback {
   constructor() {
@@ -208,16 +211,17 @@ class Playback {
     this.follow = true;
   }
 
-  /** Moves on by `seconds` of wall time. A follower runs after the head at up to 20 times real time,
-      so that a flight that was faster than real time can be watched. */
+  /** Moves on by `seconds` of wall time. A follower is the faster the more intervals it is behind the head, up to
+      20 times real time: it stands one interval behind a flight at real time, and a flight that was over at once
+      can be watched. Far behind, it jumps. */
   advance(seconds, head, intervalSeconds) {
+    const intervals = seconds / intervalSeconds;
     if (this.follow) {
-      if (head < this.tick) this.tick = head;
-      // Live at real time the page stays within a second of the head; behind that, it catches up.
-      const rate = Math.max(this.speed, Math.min(20, (head - this.tick) * intervalSeconds));
-      this.tick = Math.min(head, this.tick + (seconds / intervalSeconds) * rate);
+      const behind = head - this.tick;
+      if (behind < 0 || behind > FAR_BEHIND) this.tick = Math.max(0, head - 1);
+      this.tick = Math.min(head, this.tick + intervals * Math.max(0.5, Math.min(20, behind)));
     } else if (this.playing) {
-      this.tick = Math.min(head, this.tick + (seconds / intervalSeconds) * this.speed);
+      this.tick = Math.min(head, this.tick + intervals * this.speed);
       if (this.tick >= head) this.playing = false;
     }
   }
