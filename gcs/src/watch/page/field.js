@@ -19,9 +19,12 @@ class Layer {
     const full = `${key}|${width}x${height}@${ratio}`;
     if (full === this.key) return null;
     this.key = full;
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
+    const size = [Math.round(width * ratio), Math.round(height * ratio)];
     const context = this.canvas.getContext("2d");
+    // A canvas of the same size is wiped; to give it a size anew costs more.
+    if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, ...size);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.lineJoin = "round";
     context.lineCap = "round";
@@ -124,7 +127,6 @@ class FieldView {
     context.beginPath();
     context.rect(x0, y0, width, height);
     context.clip();
-    context.imageSmoothingQuality = "high";
     context.drawImage(this.shadow.canvas, x0, y0, width, height);
     const { gamma_min_db: least, rate_snr_db: rate } = this.store.limits;
     const place = (x, y) => [x0 + (width * (x + 0.5)) / n, y0 + height * (1 - (y + 0.5) / n)];
