@@ -21,6 +21,7 @@ run(async () => {
     await page.waitForFunction(() => window.__watch.playback.playing);
     await watched(page);
     same((await standing(page)).state, "ended", "state");
+    await unknownLines(page);
     const still = await open(pathToFileURL(flight).href, { still: true });
     await watched(still);
     const shots = {};
@@ -41,6 +42,17 @@ run(async () => {
     check(moved > TOLERANCE, "the comparison does not tell two intervals apart");
   });
 });
+
+/** Lines of a later version, and junk, are counted and change nothing. */
+async function unknownLines(page) {
+  const [before, unknown, after] = await page.evaluate(() => {
+    const { store } = window.__watch;
+    const before = store.version;
+    for (const line of ["{", "null", "[]", '{"kind":"toString"}', '{"kind":"later","tick":1}', ""]) store.take(line);
+    return [before, store.unknown, store.version];
+  });
+  same([unknown, after], [5, before], "unknown lines");
+}
 
 async function field(open, tick, dark) {
   const page = await open(pathToFileURL(flight).href, { dark, still: true, width: 1000, height: 900 });

@@ -102,12 +102,11 @@ class Store {
       this.unknown += 1;
       return;
     }
-    const handler = Store.kinds[message?.kind];
-    if (!handler) {
+    if (!Object.hasOwn(Store.kinds, message?.kind)) {
       this.unknown += 1;
       return;
     }
-    handler(this, message);
+    Store.kinds[message.kind](this, message);
     this.seen[message.kind] = (this.seen[message.kind] ?? 0) + 1;
     this.version += 1;
   }
