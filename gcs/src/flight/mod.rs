@@ -151,6 +151,12 @@ pub trait Crew {
     /// The command is on its way: there is time to write.
     fn sent(&mut self) {}
 
+    /// The vehicle says something, of severity 0 (emergency) to 7 (debug).
+    fn heard(&mut self, _severity: u8, _text: &str) {}
+
+    /// Counters of the link, by name: once a second, and at the end.
+    fn link(&mut self, _counters: &serde_json::Value) {}
+
     /// Whether the flight is over with the newest percept, before [`Options::ticks`]: the command to it is not
     /// sent.
     fn is_done(&self) -> bool {
@@ -248,6 +254,20 @@ pub struct Flight {
     pub log_error: Option<String>,
 }
 
+impl Flight {
+    /// What the link has carried, by name.
+    #[must_use]
+    pub fn counters(&self) -> serde_json::Value {
+        serde_json::json!({
+            "frames": self.packets.frames,
+            "frames_lost": self.lost,
+            "repeats": self.repeats,
+            "rejected": self.rejected_messages,
+            "setpoints_held_back": self.suppressed_setpoints,
+        })
+    }
+}
+
 /// Finds a vehicle of this scenario and flies `crew` on it.
 ///
 /// # Errors
@@ -288,7 +308,10 @@ pub async fn fly_on(
                 shell.repeat().await;
                 resend.lengthen();
             }
-            _ = beat.tick() => shell.beat().await,
+            _ = beat.tick() => {
+                shell.beat().await;
+                crew.link(&shell.counters());
+            }
             signal = &mut interrupted => return Ok(shell.interrupted(signal).await),
         }
         for notice in shell.hub.notices() {
@@ -337,7 +360,10 @@ pub async fn fly_on(
                         shell.flight.repeats += 1;
                         shell.repeat().await;
                     }
-                    RemoteEvent::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    RemoteEvent::Text(severity, text) => {
+                        tracing::info!(severity, "vehicle: {text}");
+                        crew.heard(severity, &text);
+                    }
                     RemoteEvent::News(news) => news.log(),
                     RemoteEvent::LeftGuided(mode) => {
                         return Ok(shell.taken_over(&format!("vehicle is in {mode}")).await);
@@ -422,6 +448,19 @@ impl<'a> FlightShell<'a> {
                 tick.0
             ))),
         }
+    }
+
+    /// What the link has carried so far, by name.
+    fn counters(&self) -> serde_json::Value {
+        let flight = Flight {
+            packets: self.hub.counts(),
+            lost: self.hub.rows().iter().map(|row| row.counters.lost()).sum(),
+            repeats: self.flight.repeats,
+            rejected_messages: self.remote.rejected_messages(),
+            suppressed_setpoints: self.hub.router().suppressed_setpoints(),
+            ..Flight::default()
+        };
+        flight.counters()
     }
 
     fn percept(&mut self, percept: &Percept, arrived: Instant) {

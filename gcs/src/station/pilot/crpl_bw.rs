@@ -8,11 +8,13 @@
 
 use std::sync::Arc;
 
+use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::StationHeads;
 use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::channel::outage_snr;
 
 use super::crpl::Crpl;
+use super::foresight::MatchedRule;
 use crate::station::belief::Latents;
 use crate::station::seen::RadioConstants;
 
@@ -31,6 +33,16 @@ impl CrplBw {
     #[must_use]
     pub fn new(crpl: Crpl, power: MatchedPower) -> Self {
         Self { crpl, power }
+    }
+
+    /// π_s and π_p; of them π_s flies.
+    pub(super) fn policies(&self) -> &Arc<Policies> {
+        self.crpl.policies()
+    }
+
+    /// How it chooses the power.
+    pub(super) fn rule(&self) -> MatchedRule {
+        self.power.rule()
     }
 
     /// The motion of π_s; the smallest power that carries the packet.
@@ -53,6 +65,11 @@ impl MatchedPower {
     #[must_use]
     pub fn new(heads: Arc<StationHeads>, radio: RadioConstants) -> Self {
         Self { heads, radio }
+    }
+
+    /// The rule, without the head that predicts the SNR.
+    pub(super) fn rule(&self) -> MatchedRule {
+        MatchedRule::new(needed(&self.radio))
     }
 
     /// The power for this interval.

@@ -19,6 +19,7 @@ pub mod crpl;
 pub mod crpl_bw;
 pub mod crpl_exact_latents;
 pub mod crpl_rh;
+pub mod foresight;
 pub mod laws;
 pub mod reactive;
 pub mod track;
