@@ -19,7 +19,7 @@ use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
-use crpl_gcs::watch::{Shown, WatchFlags, WatchPage};
+use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -182,7 +182,7 @@ struct Fly {
     #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
     #[command(flatten)]
-    watch: WatchFlags,
+    watch: SteerFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -254,8 +254,14 @@ async fn fly(args: Fly) -> Result<()> {
         forward: args.forward,
         timeout: Duration::from_secs(args.timeout),
         identity: args.identity,
+        steering: None,
     };
     let foreign = args.vehicle.foreign();
+    if foreign.is_some() && args.watch.control {
+        bail!(
+            "--control: a foreign vehicle is steered by an operator's station, or by `gcs bridge --control`"
+        );
+    }
     let (mut session, scenario) = match foreign {
         Some(_) => {
             let mut scenario = args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?;
@@ -288,8 +294,9 @@ async fn fly(args: Fly) -> Result<()> {
     let station = models.station(args.controller, &scenario)?;
     let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
     let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;
-    let page = args.watch.open()?;
-    let shown = Shown::one("gcs fly", args.controller);
+    let (page, requests) = args.watch.open()?;
+    let shown = Shown { control: requests.is_some(), ..Shown::one("gcs fly", args.controller) };
+    options.steering = requests;
     let live = page.as_ref().map(|page| page.feed().clone());
     let mut crew = LoggedStation::new(station, folder, args.controller, None).shown_as(shown, live);
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));

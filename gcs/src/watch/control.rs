@@ -1,5 +1,6 @@
 //! What a page may ask of a vehicle, and the way from the server's thread to the shell that has the link.
 
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -54,6 +55,18 @@ pub struct VehicleRequest {
     pub answer: oneshot::Sender<Result<String, String>>,
 }
 
+/// The shell's end, for the one flight that takes it.
+#[derive(Debug, Clone)]
+pub struct RequestQueue(Arc<Mutex<Option<mpsc::Receiver<VehicleRequest>>>>);
+
+impl RequestQueue {
+    /// The requests; `None` if somebody has taken them.
+    #[must_use]
+    pub fn take(&self) -> Option<mpsc::Receiver<VehicleRequest>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
 /// The server's end.
 #[derive(Debug, Clone)]
 pub struct Control {
@@ -66,12 +79,12 @@ impl Control {
     ///
     /// # Errors
     /// The system has no random bytes.
-    pub fn open() -> Result<(Self, mpsc::Receiver<VehicleRequest>)> {
+    pub fn open() -> Result<(Self, RequestQueue)> {
         let mut bytes = [0; TOKEN];
         getrandom::fill(&mut bytes).context("drawing a token")?;
         let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let (requests, shell) = mpsc::channel(WAITING);
-        Ok((Self { token, requests }, shell))
+        Ok((Self { token, requests }, RequestQueue(Arc::new(Mutex::new(Some(shell))))))
     }
 
     /// What a request must bring.
@@ -111,7 +124,9 @@ mod tests {
 
     #[tokio::test]
     async fn a_request_reaches_the_shell_and_its_answer_comes_back() {
-        let (control, mut shell) = Control::open().unwrap();
+        let (control, queue) = Control::open().unwrap();
+        let mut shell = queue.take().unwrap();
+        assert!(queue.take().is_none());
         let asked = tokio::spawn({
             let control = control.clone();
             async move { control.ask(1, VehicleAction::GiveBack).await }

@@ -71,6 +71,14 @@ pub fn flight(lines: &[FeedLine]) -> String {
     }
 }
 
+/// The lines inside a `flight.html`; `None` if it is none.
+#[must_use]
+pub fn lines_of(html: &str) -> Option<Vec<String>> {
+    let (_, after) = html.split_once(LINES)?;
+    let (block, _) = after.split_once("</script>")?;
+    Some(block.lines().filter(|line| !line.is_empty()).map(str::to_owned).collect())
+}
+
 fn size(lines: &[&FeedLine]) -> usize {
     lines.iter().map(|line| line.text.len() + 1).sum()
 }
@@ -185,5 +193,7 @@ mod tests {
     fn no_text_of_a_line_ends_the_script() {
         let html = flight(&[line(0, LineWeight::Line, "{\"text\":\"</script><b>\"}")]);
         assert!(html.contains("\\u003c/script>\\u003cb>"));
+        assert_eq!(lines_of(&html).unwrap(), ["{\"text\":\"\\u003c/script>\\u003cb>\"}"]);
+        assert_eq!(lines_of("<html>"), None);
     }
 }

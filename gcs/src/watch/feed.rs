@@ -220,6 +220,25 @@ pub struct ShownBelief {
 }
 
 impl WatchEvent {
+    /// The first line of a long computation.
+    #[must_use]
+    pub fn computation(program: &str, title: &str, scenario: Option<Value>) -> Self {
+        Self::Hello {
+            version: VERSION,
+            title: format!("{program}: {title}"),
+            program: program.into(),
+            revision: crate::revision().into(),
+            seed: None,
+            frame: ShownFrame::Square,
+            scenario,
+            vehicles: Vec::new(),
+            limits: None,
+            ticks: None,
+            dt_s: 0.0,
+            control: false,
+        }
+    }
+
     /// How soon a history that is full forgets it.
     fn weight(&self) -> LineWeight {
         match self {
@@ -326,12 +345,29 @@ impl Feed {
 
     /// Adds a line and wakes who reads; waits for nobody.
     pub fn send(&self, event: &WatchEvent) {
-        let Ok(text) = serde_json::to_string(event) else { return };
+        if let Ok(text) = serde_json::to_string(event) {
+            self.push(text, event.weight());
+        }
+    }
+
+    /// Adds a line that was told before, such as one of a `flight.html`.
+    pub fn repeat(&self, line: &str) {
+        let Ok(value) = serde_json::from_str::<Value>(line) else { return };
+        let weight = match value["kind"].as_str() {
+            Some("hello" | "geo" | "end") => LineWeight::Kept,
+            Some("field") => LineWeight::Field,
+            Some("picture" | "belief") => LineWeight::Bulk,
+            _ => LineWeight::Line,
+        };
+        self.push(line.to_owned(), weight);
+    }
+
+    fn push(&self, text: String, weight: LineWeight) {
         let mut history = self.history();
         let number = history.next;
         history.next += 1;
         history.bytes += text.len();
-        history.lines.push_back(FeedLine { number, weight: event.weight(), text: text.into() });
+        history.lines.push_back(FeedLine { number, weight, text: text.into() });
         history.trim(self.0.capacity);
         drop(history);
         self.0.news.send_replace(number + 1);

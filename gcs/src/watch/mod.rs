@@ -9,7 +9,7 @@
 //! docs/watch.md lists the lines.
 
 pub mod control;
-mod document;
+pub mod document;
 pub mod feed;
 mod narrator;
 mod server;
@@ -21,10 +21,9 @@ use std::net::SocketAddr;
 use anyhow::Result;
 use crpl_sitl::program::terminal::interrupted;
 use serde_json::Value;
-use tokio::sync::mpsc;
 
 use crate::station::pilot::Controller;
-use crate::watch::control::{Control, VehicleRequest};
+use crate::watch::control::{Control, RequestQueue};
 use crate::watch::feed::{Feed, ShownVehicle, WatchEvent};
 use crate::watch::server::WatchServer;
 
@@ -40,6 +39,30 @@ pub struct WatchFlags {
     /// Serve the page on after the end, until Ctrl-C [default: where stderr is a terminal]
     #[arg(long, requires = "watch")]
     pub watch_stay: bool,
+}
+
+/// The same flags of a page that may steer.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct SteerFlags {
+    #[command(flatten)]
+    watch: WatchFlags,
+    /// Let the page hold, return, land and give back the vehicle; its printed address holds the token for that
+    #[arg(long, requires = "watch")]
+    pub control: bool,
+}
+
+impl SteerFlags {
+    /// Serves the page, if it is wanted, and says where; what it asks of vehicles arrives at what is given beside it.
+    ///
+    /// # Errors
+    /// As [`WatchFlags::open`].
+    pub fn open(&self) -> Result<(Option<WatchPage>, Option<RequestQueue>)> {
+        if !self.control {
+            return Ok((self.watch.open()?, None));
+        }
+        let (control, requests) = Control::open()?;
+        Ok((self.watch.serve(Some(control))?, Some(requests)))
+    }
 }
 
 /// `IP:PORT`, or a port of this machine alone.
@@ -96,17 +119,6 @@ impl WatchFlags {
         self.serve(None)
     }
 
-    /// The same with a page that may steer; the requests arrive at what is given beside it.
-    ///
-    /// # Errors
-    /// As [`WatchFlags::open`].
-    pub fn open_steering(&self) -> Result<(Option<WatchPage>, Option<mpsc::Receiver<VehicleRequest>>)> {
-        let (control, requests) = Control::open()?;
-        let page = self.serve(Some(control))?;
-        let requests = page.is_some().then_some(requests);
-        Ok((page, requests))
-    }
-
     fn serve(&self, control: Option<Control>) -> Result<Option<WatchPage>> {
         let Some(address) = self.watch else { return Ok(None) };
         let feed = Feed::default();
@@ -135,6 +147,11 @@ impl WatchPage {
     /// The last line, and the end of the server: at once, or when Ctrl-C says so.
     pub async fn close(mut self, reason: &str, summary: Value) {
         self.feed.send(&WatchEvent::End { reason: reason.into(), summary });
+        self.leave().await;
+    }
+
+    /// The end of the server, without a last line.
+    pub async fn leave(&mut self) {
         if self.stays {
             let _ = writeln!(std::io::stderr().lock(), "watch: the page stays until Ctrl-C");
             interrupted().await;
