@@ -52,7 +52,7 @@ use crate::tools::fleet::{News, Stack};
 use crate::tools::identity::Identity;
 use crate::tools::replay;
 use crate::tools::session::{LinkFlags, Session};
-use crate::tools::steering::Steering;
+use crate::tools::steering::PageSteering;
 use crate::watch::control::{RequestQueue, VehicleRequest};
 
 /// The station's heartbeat.
@@ -407,7 +407,7 @@ struct FlightShell<'a> {
     sent: BTreeMap<Tick, [f32; 2]>,
     /// The powers of our last commands, newest last.
     powers: VecDeque<TxPower>,
-    steering: Steering,
+    steering: PageSteering,
     flight: Flight,
 }
 
@@ -431,7 +431,7 @@ impl<'a> FlightShell<'a> {
             place: Encoder::new(system, GPS),
             sent: BTreeMap::new(),
             powers: VecDeque::new(),
-            steering: Steering::new(options.steering.as_ref().and_then(RequestQueue::take)),
+            steering: PageSteering::new(options.steering.as_ref().and_then(RequestQueue::take)),
             flight: Flight::default(),
         })
     }

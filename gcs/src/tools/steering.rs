@@ -23,7 +23,7 @@ const CUSTOM: f32 = 1.0;
 
 /// The way from a page to vehicles.
 #[derive(Debug, Default)]
-pub struct Steering {
+pub struct PageSteering {
     requests: Option<Receiver<VehicleRequest>>,
     queue: CommandQueue,
     decoder: Decoder,
@@ -45,7 +45,7 @@ fn mode(action: VehicleAction, stack: Stack, target: (u8, u8)) -> CommandRequest
     CommandRequest::new(MavCmd::MAV_CMD_DO_SET_MODE, [CUSTOM, main, sub], target)
 }
 
-impl Steering {
+impl PageSteering {
     /// Of the page whose requests come here; `None`: there is none, or it only watches.
     #[must_use]
     pub fn new(requests: Option<Receiver<VehicleRequest>>) -> Self {
@@ -118,7 +118,7 @@ mod tests {
     #[tokio::test]
     async fn a_page_hears_what_the_vehicle_answers() {
         let (page, requests) = mpsc::channel(1);
-        let mut steering = Steering::new(Some(requests));
+        let mut steering = PageSteering::new(Some(requests));
         for (result, accepted) in
             [(MavResult::MAV_RESULT_ACCEPTED, true), (MavResult::MAV_RESULT_DENIED, false)]
         {

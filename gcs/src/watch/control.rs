@@ -69,12 +69,12 @@ impl RequestQueue {
 
 /// The server's end.
 #[derive(Debug, Clone)]
-pub struct Control {
+pub struct PageControl {
     token: String,
     requests: mpsc::Sender<VehicleRequest>,
 }
 
-impl Control {
+impl PageControl {
     /// A new token, and the shell's end.
     ///
     /// # Errors
@@ -124,7 +124,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_request_reaches_the_shell_and_its_answer_comes_back() {
-        let (control, queue) = Control::open().unwrap();
+        let (control, queue) = PageControl::open().unwrap();
         let mut shell = queue.take().unwrap();
         assert!(queue.take().is_none());
         let asked = tokio::spawn({
@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn tokens_differ_and_only_their_own_fits() {
-        let (a, b) = (Control::open().unwrap().0, Control::open().unwrap().0);
+        let (a, b) = (PageControl::open().unwrap().0, PageControl::open().unwrap().0);
         assert_ne!(a.token(), b.token());
         assert!(a.is_token(a.token()) && !a.is_token(b.token()) && !a.is_token(""));
     }

@@ -23,7 +23,7 @@ use crpl_sitl::program::terminal::interrupted;
 use serde_json::Value;
 
 use crate::station::pilot::Controller;
-use crate::watch::control::{Control, RequestQueue};
+use crate::watch::control::{PageControl, RequestQueue};
 use crate::watch::feed::{Feed, ShownVehicle, WatchEvent};
 use crate::watch::server::WatchServer;
 
@@ -60,7 +60,7 @@ impl SteerFlags {
         if !self.control {
             return Ok((self.watch.open()?, None));
         }
-        let (control, requests) = Control::open()?;
+        let (control, requests) = PageControl::open()?;
         Ok((self.watch.serve(Some(control))?, Some(requests)))
     }
 }
@@ -119,7 +119,7 @@ impl WatchFlags {
         self.serve(None)
     }
 
-    fn serve(&self, control: Option<Control>) -> Result<Option<WatchPage>> {
+    fn serve(&self, control: Option<PageControl>) -> Result<Option<WatchPage>> {
         let Some(address) = self.watch else { return Ok(None) };
         let feed = Feed::default();
         let token = control.as_ref().map(|control| format!("/#token={}", control.token()));

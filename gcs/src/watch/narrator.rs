@@ -38,7 +38,7 @@ const DRAWN: usize = 8;
 
 /// What a station knows at one tick.
 #[derive(Debug, Clone)]
-pub struct Sight {
+pub struct StationSight {
     /// The vehicle's report.
     pub telemetry: Telemetry,
     /// The answer to it; `None` to the last report of a flight.
@@ -46,12 +46,12 @@ pub struct Sight {
     /// The intervals that have ended since the last sight.
     pub records: Vec<Record>,
     /// What was seen and believed; `None` where it was left out.
-    pub scene: Option<Scene>,
+    pub scene: Option<SeenScene>,
 }
 
 /// What is seen and believed at one tick.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct SeenScene {
     /// The picture as it was received.
     pub frame: Arc<Frame>,
     /// What the station makes of it.
@@ -99,7 +99,7 @@ impl Narrator {
     }
 
     /// Tells a sight.
-    pub fn tell(&mut self, sight: Sight) {
+    pub fn tell(&mut self, sight: StationSight) {
         let tick = sight.telemetry.tick.0;
         sight.records.into_iter().for_each(|record| self.interval(record));
         for (sent, fate) in self.ledger.hear(&Heard::from(&sight.telemetry)) {
@@ -182,7 +182,7 @@ impl Narrator {
         self.field = Some((obstacles, power));
     }
 
-    fn belief(&mut self, tick: u64, scene: &Scene) -> Option<ShownBelief> {
+    fn belief(&mut self, tick: u64, scene: &SeenScene) -> Option<ShownBelief> {
         let (c, u) = (scene.belief.controllable(), scene.belief.uncontrollable());
         let (estimate, certainty) = (c.estimate()?, c.certainty()?);
         let probe = self.world.probe;

@@ -32,7 +32,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{oneshot, watch};
 use tokio::time::timeout;
 
-use crate::watch::control::{Control, VehicleAction};
+use crate::watch::control::{PageControl, VehicleAction};
 use crate::watch::document;
 use crate::watch::feed::{Feed, FeedLine};
 
@@ -65,11 +65,11 @@ pub struct WatchServer {
 }
 
 #[derive(Debug)]
-struct Site {
+struct WatchSite {
     feed: Feed,
     page: Bytes,
     address: SocketAddr,
-    control: Option<Control>,
+    control: Option<PageControl>,
     readers: AtomicUsize,
     /// Whether the server is about to end: readers get what there is, and no more.
     closing: watch::Receiver<bool>,
@@ -80,7 +80,7 @@ impl WatchServer {
     ///
     /// # Errors
     /// The address is taken, or none of this machine's.
-    pub fn start(address: SocketAddr, feed: Feed, control: Option<Control>) -> Result<Self> {
+    pub fn start(address: SocketAddr, feed: Feed, control: Option<PageControl>) -> Result<Self> {
         let listener = std::net::TcpListener::bind(address).with_context(|| format!("--watch {address}"))?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
@@ -88,7 +88,7 @@ impl WatchServer {
         let (stop, stopped) = oneshot::channel();
         let (close, closing) = watch::channel(false);
         let page = document::page().into();
-        let site = Site { feed, page, address, control, readers: AtomicUsize::new(0), closing };
+        let site = WatchSite { feed, page, address, control, readers: AtomicUsize::new(0), closing };
         let site = Arc::new(site);
         let work = async move {
             let Ok(listener) = TcpListener::from_std(listener) else { return };
@@ -136,7 +136,7 @@ impl Drop for WatchServer {
     }
 }
 
-fn router(site: &Arc<Site>) -> Router {
+fn router(site: &Arc<WatchSite>) -> Router {
     Router::new()
         .route("/", get(page))
         .route("/events", get(events))
@@ -147,7 +147,7 @@ fn router(site: &Arc<Site>) -> Router {
 }
 
 /// Refuses requests that another site's page has made.
-async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+async fn guard(State(site): State<Arc<WatchSite>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let text = |name| headers.get(name).map(|value: &HeaderValue| value.to_str().unwrap_or(""));
     let host = text(HOST).unwrap_or("");
@@ -184,20 +184,20 @@ fn typed(content: &'static str, body: impl Into<Body>) -> Response {
     ([(CONTENT_TYPE, content)], body.into()).into_response()
 }
 
-async fn page(State(site): State<Arc<Site>>) -> Response {
+async fn page(State(site): State<Arc<WatchSite>>) -> Response {
     typed("text/html; charset=utf-8", site.page.clone())
 }
 
-async fn lines(State(site): State<Arc<Site>>) -> Response {
+async fn lines(State(site): State<Arc<WatchSite>>) -> Response {
     let text: Vec<_> = site.feed.all().iter().map(|line| line.text.to_string()).collect();
     typed("application/json", format!("[{}]", text.join(",\n")))
 }
 
 /// One more reader, for as long as this lives.
-struct Reader(Arc<Site>);
+struct EventReader(Arc<WatchSite>);
 
-impl Reader {
-    fn admit(site: Arc<Site>) -> Option<Self> {
+impl EventReader {
+    fn admit(site: Arc<WatchSite>) -> Option<Self> {
         if site.readers.fetch_add(1, Ordering::Relaxed) < READERS {
             return Some(Self(site));
         }
@@ -206,14 +206,14 @@ impl Reader {
     }
 }
 
-impl Drop for Reader {
+impl Drop for EventReader {
     fn drop(&mut self) {
         self.0.readers.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
-async fn events(State(site): State<Arc<Site>>, headers: HeaderMap) -> Response {
-    let Some(reader) = Reader::admit(site) else {
+async fn events(State(site): State<Arc<WatchSite>>, headers: HeaderMap) -> Response {
+    let Some(reader) = EventReader::admit(site) else {
         return (StatusCode::SERVICE_UNAVAILABLE, "too many readers\n").into_response();
     };
     let last = headers.get("last-event-id").and_then(|id| id.to_str().ok()?.parse::<u64>().ok());
@@ -226,7 +226,7 @@ async fn events(State(site): State<Arc<Site>>, headers: HeaderMap) -> Response {
 }
 
 /// What a reader who has everything before `from` is given next; `None` at the end.
-async fn next_chunk(site: &Site, from: u64) -> Option<(Bytes, u64)> {
+async fn next_chunk(site: &WatchSite, from: u64) -> Option<(Bytes, u64)> {
     let (mut news, mut closing) = (site.feed.news(), site.closing.clone());
     loop {
         let lines = site.feed.from(from, CHUNK);
@@ -264,7 +264,7 @@ struct SteerRequest {
     action: VehicleAction,
 }
 
-async fn steer(State(site): State<Arc<Site>>, request: Request) -> Response {
+async fn steer(State(site): State<Arc<WatchSite>>, request: Request) -> Response {
     let answer = |status: StatusCode, ok: bool, text: &str| {
         let body = serde_json::json!({ "ok": ok, "text": text }).to_string();
         (status, typed("application/json", body)).into_response()

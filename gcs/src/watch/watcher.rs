@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::station::Station;
 use crate::watch::feed::{Feed, ShownFrame, ShownLimits, ShownVehicle, VERSION, WatchEvent, rounded};
-use crate::watch::narrator::{Narrator, Scene, Sight};
+use crate::watch::narrator::{Narrator, SeenScene, StationSight};
 use crate::watch::{Shown, document};
 
 /// Scenes that wait to be told; of what comes beyond, pictures and beliefs are left out.
@@ -24,9 +24,9 @@ const KEPT: usize = 256;
 #[derive(Debug)]
 enum Telling {
     /// To a thread, while the flight is on.
-    Beside { sights: Sender<Sight>, waiting: Arc<AtomicUsize>, thread: JoinHandle<Narrator> },
+    Beside { sights: Sender<StationSight>, waiting: Arc<AtomicUsize>, thread: JoinHandle<Narrator> },
     /// Nowhere until it is over.
-    After { sights: Vec<Sight>, scenes: usize, stride: u64, narrator: Box<Narrator> },
+    After { sights: Vec<StationSight>, scenes: usize, stride: u64, narrator: Box<Narrator> },
 }
 
 /// Watches one flight.
@@ -103,7 +103,7 @@ impl FlightWatcher {
             Telling::Beside { waiting, .. } => waiting.load(Ordering::Relaxed) < WAITING,
             Telling::After { stride, .. } => percept.telemetry.tick.0.is_multiple_of(*stride),
         };
-        let scene = wanted.then(|| Scene {
+        let scene = wanted.then(|| SeenScene {
             frame: percept.frame.clone(),
             belief: station.belief().clone(),
             foresight: station.pilot().foresight(),
@@ -116,11 +116,11 @@ impl FlightWatcher {
         station: &Station,
         telemetry: Telemetry,
         command: Option<Command>,
-        scene: Option<Scene>,
+        scene: Option<SeenScene>,
     ) {
         let records = station.records().get(self.told..).unwrap_or_default().to_vec();
         self.told += records.len();
-        let sight = Sight { telemetry, command, records, scene };
+        let sight = StationSight { telemetry, command, records, scene };
         match &mut self.telling {
             Telling::Beside { sights, waiting, .. } => {
                 waiting.fetch_add(1, Ordering::Relaxed);
@@ -182,7 +182,7 @@ impl FlightWatcher {
 }
 
 fn beside(mut narrator: Narrator) -> Telling {
-    let (sights, told) = channel::<Sight>();
+    let (sights, told) = channel::<StationSight>();
     let waiting = Arc::new(AtomicUsize::new(0));
     let left = waiting.clone();
     let thread = std::thread::spawn(move || {

@@ -14,7 +14,6 @@ use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::channel::outage_snr;
 
 use super::crpl::Crpl;
-use super::foresight::MatchedRule;
 use crate::station::belief::Latents;
 use crate::station::seen::RadioConstants;
 
@@ -50,6 +49,26 @@ impl CrplBw {
     pub fn decide(&self, now: Latents) -> (Motion, TxPower) {
         let (motion, _) = self.crpl.decide(now);
         (motion, self.power.decide(now))
+    }
+}
+
+/// The power that carries a packet at a predicted SNR.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MatchedRule {
+    needed: f64,
+}
+
+impl MatchedRule {
+    /// `needed`: max(γ_min, γ_out), linear.
+    #[must_use]
+    pub fn new(needed: f64) -> Self {
+        Self { needed }
+    }
+
+    /// The power at a predicted SNR at a_p = 1, linear.
+    #[must_use]
+    pub fn for_snr(self, snr_at_low: f64) -> TxPower {
+        power(snr_at_low, self.needed)
     }
 }
 

@@ -30,7 +30,7 @@ use crpl_sitl::program::terminal::{interrupted, say};
 use tokio::time::{Instant, interval_at};
 
 use crate::tools::spotter::Spotter;
-use crate::tools::steering::Steering;
+use crate::tools::steering::PageSteering;
 use crate::watch::SteerFlags;
 use crate::watch::control::{RequestQueue, VehicleRequest};
 use hub::{Hub, LinkSide};
@@ -102,7 +102,7 @@ pub async fn run(args: Bridge) -> Result<()> {
         hub.local();
         Watched {
             spotter: Spotter::new(page.feed().clone(), "gcs bridge", requests.is_some()),
-            steering: Steering::new(requests.as_ref().and_then(RequestQueue::take)),
+            steering: PageSteering::new(requests.as_ref().and_then(RequestQueue::take)),
         }
     });
     route(&mut hub, scrapes, Duration::from_secs(args.every), &mut watched).await?;
@@ -139,7 +139,7 @@ fn push_hello(bridge: &mut Encoder, datagram: &mut Vec<u8>) {
 /// A page that shows the vehicles, and may ask something of them.
 struct Watched {
     spotter: Spotter,
-    steering: Steering,
+    steering: PageSteering,
 }
 
 impl Watched {
