@@ -28,6 +28,7 @@
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`station`] | percept in, command out: belief, controllers, trained models | sockets, clocks, bytes |
+//! | [`watch`] | the page that shows a flight, its server, `flight.html` | links, run folders |
 //! | [`tools`] | MAVLink tools for any vehicle: router, radio link, parameters, missions | controllers |
 //! | [`flight`] | the shell of a flight over a link, on `sitl` or a foreign autopilot | controllers' insides |
 //! | [`lab`] | flights in process, demo, sweeps, reports, run folders | protocols |
@@ -36,6 +37,7 @@ pub mod flight;
 pub mod lab;
 pub mod station;
 pub mod tools;
+pub mod watch;
 
 /// Git revision of the sources from which this was compiled, with `-dirty` if one of them differed from
 /// it; `unknown` where git did not tell. Files that are not compiled, such as documents, do not count.

@@ -20,6 +20,7 @@ use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, encode, key, link, mission, param, replay, tlog};
+use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -117,6 +118,8 @@ struct Demo {
     /// Forward the flights to this endpoint, such as udpout:HOST:PORT; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
+    #[command(flatten)]
+    watch: WatchFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -189,6 +192,8 @@ struct Fly {
     /// change of mode; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
+    #[command(flatten)]
+    watch: SteerFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -228,9 +233,12 @@ async fn demo(args: Demo) -> Result<()> {
     let mut models = args.models.load()?;
     policies::cover(&mut models, &args.controller, &scenario, args.models.optimise)?;
     let out = run_folder::fresh(args.out.as_deref(), "runs/demo")?;
+    let page = args.watch.open()?;
+    let mut shown = Shown { program: "gcs demo".into(), seed: Some(args.seed), ..Shown::default() };
     let mut flights = Vec::new();
     let mut exit = None;
     for controller in args.controller {
+        shown.add(controller);
         let flight = DemoFlight {
             controller,
             scenario: &scenario,
@@ -238,6 +246,8 @@ async fn demo(args: Demo) -> Result<()> {
             pace: args.pace,
             speed: args.speed,
             signing_key: args.signing_key.as_deref(),
+            shown: &shown,
+            live: page.as_ref().map(WatchPage::feed),
             forward: &args.forward,
         };
         let dir = out.join(controller.to_string());
@@ -248,7 +258,9 @@ async fn demo(args: Demo) -> Result<()> {
             break;
         }
     }
-    report_flights(&flights, &out, args.json, exit)
+    let ended = report_flights(&flights, &out, args.json, exit);
+    close(page, &flights, &ended).await;
+    ended
 }
 
 async fn fly(args: Fly) -> Result<()> {
@@ -261,8 +273,14 @@ async fn fly(args: Fly) -> Result<()> {
         forward: args.forward,
         timeout: Duration::from_secs(args.timeout),
         identity: args.identity,
+        steering: None,
     };
     let foreign = args.vehicle.foreign();
+    if foreign.is_some() && args.watch.control {
+        bail!(
+            "--control: a foreign vehicle is steered by an operator's station, or by `gcs bridge --control`"
+        );
+    }
     let (mut session, scenario) = match foreign {
         Some(_) => {
             let mut scenario = args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?;
@@ -295,7 +313,11 @@ async fn fly(args: Fly) -> Result<()> {
     let station = models.station(args.controller, &scenario)?;
     let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
     let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;
-    let mut crew = LoggedStation::new(station, folder, args.controller, None);
+    let (page, requests) = args.watch.open()?;
+    let shown = Shown { control: requests.is_some(), ..Shown::one("gcs fly", args.controller) };
+    options.steering = requests;
+    let live = page.as_ref().map(|page| page.feed().clone());
+    let mut crew = LoggedStation::new(station, folder, args.controller, None).shown_as(shown, live);
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
     let flown = match (foreign, session) {
         (Some(stack), _) => {
@@ -314,7 +336,23 @@ async fn fly(args: Fly) -> Result<()> {
         bail!("the flight ended before its first interval");
     }
     let flights: Vec<Summary> = landed.summary.into_iter().collect();
-    report_flights(&flights, &landed.dir, args.json, landed.exit)
+    let ended = report_flights(&flights, &landed.dir, args.json, landed.exit);
+    close(page, &flights, &ended).await;
+    ended
+}
+
+/// Exit codes above it are a signal's.
+const SIGNAL: u8 = 128;
+
+/// The last line of the page: how the flights have ended.
+async fn close(page: Option<WatchPage>, flights: &[Summary], ended: &Result<()>) {
+    let Some(mut page) = page else { return };
+    let exit = ended.as_ref().err().and_then(|error| error.downcast_ref::<ExitWith>());
+    if exit.is_some_and(|exit| exit.code > SIGNAL) {
+        page.hurry();
+    }
+    let reason = ended.as_ref().err().map_or_else(|| "over".into(), terminal::one_line);
+    page.close(&reason, summary::by_vehicle(flights)).await;
 }
 
 /// Prints what was flown, then ends as the last flight did.

@@ -69,6 +69,19 @@ fn build() -> Result<PathBuf> {
     Ok(folder)
 }
 
+/// Runs a command to its end.
+///
+/// # Errors
+/// It cannot be started or ends badly: all that it printed.
+pub fn checked(command: &mut Command) -> Result<()> {
+    let output = command.output().with_context(|| format!("starting {command:?}"))?;
+    if !output.status.success() {
+        let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        bail!("{command:?} ended with {}\n{out}{err}", output.status);
+    }
+    Ok(())
+}
+
 /// The root of the workspace.
 #[must_use]
 pub fn workspace() -> &'static Path {

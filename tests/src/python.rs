@@ -7,7 +7,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::program::{Finished, Program, profile_folder};
+use crate::program::{Finished, Program, checked, profile_folder};
 
 /// The packages, each with its version and the hashes of its wheels.
 const REQUIREMENTS: &str = include_str!("../python/requirements.txt");
@@ -65,15 +65,6 @@ fn made(name: &str, python: &str, flags: &[&str], requirements: &str) -> Result<
         fs::write(&made, requirements).context("noting what the environment is made of")?;
     }
     Ok(venv.join("bin"))
-}
-
-fn checked(command: &mut Command) -> Result<()> {
-    let output = command.output().with_context(|| format!("starting {command:?}"))?;
-    if !output.status.success() {
-        let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        bail!("{command:?} ended with {}\n{out}{err}", output.status);
-    }
-    Ok(())
 }
 
 /// Runs `tests/python/NAME` to its end.

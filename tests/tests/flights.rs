@@ -105,7 +105,7 @@ fn over_udp(controller: Controller, drop_every: Option<u64>, folder: &Path) -> S
     ];
     program::run("gcs", &args).unwrap().good().unwrap();
     sitl.wait().unwrap().good().unwrap();
-    for file in ["config.toml", "run.json", "flight.tlog", "path.svg", "path.png"] {
+    for file in ["config.toml", "run.json", "flight.tlog", "path.svg", "path.png", "flight.html"] {
         assert!(out.join(file).metadata().is_ok_and(|m| m.len() > 0), "{file} is missing");
     }
     std::fs::read_to_string(out.join("record.jsonl")).unwrap()

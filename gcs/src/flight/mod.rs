@@ -12,7 +12,7 @@
 //! |---|---|
 //! | after its last tick, when its crew is done, or in a fall | as its last command has it |
 //! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for four times |
-//! | because an operator changed its mode | to the operator |
+//! | because an operator changed its mode | to the operator; a page that may steer can give it back, and the flight goes on |
 //! | because another station's setpoint is flown | to the other station: no more setpoints from here |
 //! | because it has booted anew | as it has booted: no more setpoints from here |
 //! | because the link is lost | to its own failsafe |
@@ -30,12 +30,12 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Result, bail};
 use crpl_sitl::Scenario;
-use crpl_sitl::link::GPS;
 use crpl_sitl::link::dialect::MavSeverity;
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::Clock;
+use crpl_sitl::link::{AUTOPILOT, GPS};
 use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::{Signal, interrupted};
 use crpl_sitl::radio::message::{Command, Percept};
@@ -48,10 +48,12 @@ use crate::flight::remote::{Remote, RemoteEvent};
 use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
-use crate::tools::fleet::News;
+use crate::tools::fleet::{News, Stack};
 use crate::tools::identity::Identity;
 use crate::tools::replay;
 use crate::tools::session::{LinkFlags, Session};
+use crate::tools::steering::PageSteering;
+use crate::watch::control::{RequestQueue, VehicleRequest};
 
 /// The station's heartbeat.
 const HEARTBEAT: Duration = Duration::from_secs(1);
@@ -76,6 +78,8 @@ pub struct Options {
     pub timeout: Duration,
     /// Who flies.
     pub identity: Identity,
+    /// What a page asks of the vehicle, if it may.
+    pub steering: Option<RequestQueue>,
 }
 
 impl Default for Options {
@@ -87,6 +91,7 @@ impl Default for Options {
             forward: Vec::new(),
             timeout: Duration::from_secs(30),
             identity: Identity::default(),
+            steering: None,
         }
     }
 }
@@ -155,6 +160,12 @@ pub trait Crew {
 
     /// The command is on its way: there is time to write.
     fn sent(&mut self) {}
+
+    /// The vehicle says something, of severity 0 (emergency) to 7 (debug).
+    fn heard(&mut self, _severity: u8, _text: &str) {}
+
+    /// Counters of the link, by name: once a second, and at the end.
+    fn link(&mut self, _counters: &serde_json::Value) {}
 
     /// Whether the flight is over with the newest percept, before [`Options::ticks`]: the command to it is not
     /// sent.
@@ -253,6 +264,20 @@ pub struct Flight {
     pub log_error: Option<String>,
 }
 
+impl Flight {
+    /// What the link has carried, by name.
+    #[must_use]
+    pub fn counters(&self) -> serde_json::Value {
+        serde_json::json!({
+            "frames": self.packets.frames,
+            "frames_lost": self.lost,
+            "repeats": self.repeats,
+            "rejected": self.rejected_messages,
+            "setpoints_held_back": self.suppressed_setpoints,
+        })
+    }
+}
+
 /// Finds a vehicle of this scenario and flies `crew` on it.
 ///
 /// # Errors
@@ -293,17 +318,23 @@ pub async fn fly_on(
                 shell.repeat().await;
                 resend.lengthen();
             }
-            _ = beat.tick() => shell.beat().await,
+            _ = beat.tick() => {
+                shell.beat().await;
+                crew.link(&shell.counters());
+            }
+            asked = shell.steering.next() => shell.ask(asked),
             signal = &mut interrupted => return Ok(shell.interrupted(signal).await),
         }
+        shell.steer().await;
         for notice in shell.hub.notices() {
             tell(&notice, &shell.hub);
-            if matches!(notice, Notice::ModeChange(_)) {
-                return Ok(shell.taken_over("mode changed").await);
+            if matches!(notice, Notice::ModeChange(_)) && !shell.taken_over("mode changed").await {
+                return Ok(shell.not_given_back("mode changed").await);
             }
         }
         let arrived = shell.hub.arrived();
         while let Some(datagram) = shell.hub.take() {
+            shell.steering.datagram(&datagram, shell.hub.elapsed());
             for event in shell.remote.datagram(&datagram, shell.hub.elapsed()) {
                 match event {
                     RemoteEvent::Percept(percept) => {
@@ -343,10 +374,16 @@ pub async fn fly_on(
                         shell.flight.repeats += 1;
                         shell.repeat().await;
                     }
-                    RemoteEvent::Text(severity, text) => tracing::info!(severity, "vehicle: {text}"),
+                    RemoteEvent::Text(severity, text) => {
+                        tracing::info!(severity, "vehicle: {text}");
+                        crew.heard(severity, &text);
+                    }
                     RemoteEvent::News(news) => news.log(),
                     RemoteEvent::LeftGuided(mode) => {
-                        return Ok(shell.taken_over(&format!("vehicle is in {mode}")).await);
+                        let why = format!("vehicle is in {mode}");
+                        if !shell.taken_over(&why).await {
+                            return Ok(shell.not_given_back(&why).await);
+                        }
                     }
                     RemoteEvent::Rebooted(from, to) => {
                         let why = format!("its time went back from tick {} to {}", from.0, to.0);
@@ -376,6 +413,7 @@ struct FlightShell<'a> {
     sent: BTreeMap<Tick, [f32; 2]>,
     /// The powers of our last commands, newest last.
     powers: VecDeque<TxPower>,
+    steering: PageSteering,
     flight: Flight,
 }
 
@@ -399,6 +437,7 @@ impl<'a> FlightShell<'a> {
             place: Encoder::new(system, GPS),
             sent: BTreeMap::new(),
             powers: VecDeque::new(),
+            steering: PageSteering::new(options.steering.as_ref().and_then(RequestQueue::take)),
             flight: Flight::default(),
         })
     }
@@ -428,6 +467,19 @@ impl<'a> FlightShell<'a> {
                 tick.0
             ))),
         }
+    }
+
+    /// What the link has carried so far, by name.
+    fn counters(&self) -> serde_json::Value {
+        let flight = Flight {
+            packets: self.hub.counts(),
+            lost: self.hub.rows().iter().map(|row| row.counters.lost()).sum(),
+            repeats: self.flight.repeats,
+            rejected_messages: self.remote.rejected_messages(),
+            suppressed_setpoints: self.hub.router().suppressed_setpoints(),
+            ..Flight::default()
+        };
+        flight.counters()
     }
 
     fn percept(&mut self, percept: &Percept, arrived: Instant) {
@@ -523,9 +575,24 @@ impl<'a> FlightShell<'a> {
         self.end(FlightEnd::Interrupted(signal), &format!("{signal}: the vehicle was asked to brake")).await
     }
 
+    /// A page asks something of the vehicle.
+    fn ask(&mut self, asked: VehicleRequest) {
+        let target = (self.remote.system(), AUTOPILOT);
+        self.steering.ask(asked, Stack::ArduPilot, target, self.hub.elapsed());
+    }
+
+    /// Sends on what a page has asked.
+    async fn steer(&mut self) {
+        let datagram = self.steering.poll(self.hub.elapsed(), self.remote.encoder());
+        if !datagram.is_empty() {
+            self.hub.send(&datagram).await;
+        }
+    }
+
     /// The operator flies from now on. Says so; and as long as others talk to the vehicle through
-    /// this program, goes on passing their messages to and fro, until a signal comes or the link is lost.
-    async fn taken_over(mut self, why: &str) -> Flight {
+    /// this program, goes on passing their messages to and fro, until a signal comes or the link is lost. Whether
+    /// a page has given the vehicle back.
+    async fn taken_over(&mut self, why: &str) -> bool {
         self.flight.suppressed_setpoints = self.hub.router().suppressed_setpoints();
         self.hub.take_control(None);
         tracing::warn!("the operator has taken over ({why}): no more setpoints from here");
@@ -534,17 +601,35 @@ impl<'a> FlightShell<'a> {
         self.hub.send(&said).await;
         let mut beat = interval(HEARTBEAT);
         let mut interrupted = pin!(interrupted());
-        while !self.options.forward.is_empty() && !self.remote.is_lost() {
+        while (!self.options.forward.is_empty() || self.steering.is_open()) && !self.remote.is_lost() {
             tokio::select! {
                 () = self.hub.turn() => {}
                 _ = beat.tick() => self.beat().await,
+                asked = self.steering.next() => self.ask(asked),
                 _ = &mut interrupted => break,
             }
+            self.steer().await;
+            let mut is_back = false;
             while let Some(datagram) = self.hub.take() {
-                self.remote.datagram(&datagram, self.hub.elapsed());
+                self.steering.datagram(&datagram, self.hub.elapsed());
+                let events = self.remote.datagram(&datagram, self.hub.elapsed());
+                is_back |=
+                    events.iter().any(|event| matches!(event, RemoteEvent::News(news) if news.gives_back()));
             }
             self.remote.poll(self.hub.elapsed()).iter().for_each(News::log);
+            if is_back && self.steering.is_open() {
+                self.steer().await;
+                self.hub.take_control(Some(self.remote.system()));
+                self.last_percept = Instant::now();
+                tracing::warn!("the vehicle is given back: setpoints go on");
+                return true;
+            }
         }
+        false
+    }
+
+    /// The end of a flight that an operator has taken over.
+    async fn not_given_back(self, why: &str) -> Flight {
         self.end(FlightEnd::TakenOver, &format!("the operator has taken over: {why}")).await
     }
 

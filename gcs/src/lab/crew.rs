@@ -12,6 +12,9 @@ use crate::lab::run_folder::RunFolder;
 use crate::lab::summary::{FlightEnded, Summary};
 use crate::station::Station;
 use crate::station::pilot::Controller;
+use crate::watch::Shown;
+use crate::watch::feed::Feed;
+use crate::watch::watcher::FlightWatcher;
 
 /// The exit code of a flight whose results could not be written.
 const NOT_WRITTEN: u8 = 7;
@@ -23,6 +26,12 @@ pub struct LoggedStation {
     folder: RunFolder,
     controller: Controller,
     seed: Option<u64>,
+    shown: Shown,
+    /// Where others watch, if they can.
+    live: Option<Feed>,
+    watcher: Option<FlightWatcher>,
+    /// What was decided on, until it has left.
+    decided: Option<(Percept, Command)>,
 }
 
 /// A flight that has ended, and all that is known of it.
@@ -40,7 +49,14 @@ impl LoggedStation {
     /// A station that flies `controller`; `seed` of the gusts, if they are known.
     #[must_use]
     pub fn new(station: Station, folder: RunFolder, controller: Controller, seed: Option<u64>) -> Self {
-        Self { station, folder, controller, seed }
+        let shown = Shown { seed, ..Shown::one("gcs", controller) };
+        Self { station, folder, controller, seed, shown, live: None, watcher: None, decided: None }
+    }
+
+    /// The same, under these names on the page; `live` is where others watch.
+    #[must_use]
+    pub fn shown_as(self, shown: Shown, live: Option<Feed>) -> Self {
+        Self { shown, live, ..self }
     }
 
     /// The end: writes what is left.
@@ -52,6 +68,13 @@ impl LoggedStation {
         let ended = FlightEnded::of(flight);
         let summary = Summary::of(self.controller, self.seed, &self.station, flight, ended.clone());
         let dir = self.folder.dir().to_path_buf();
+        if let Some(watcher) = self.watcher {
+            let last = flight.last.as_ref().map(|last| &last.telemetry);
+            let reason = if ended.why.is_empty() { ended.how.key() } else { &ended.why };
+            let told = serde_json::to_value(&summary).unwrap_or_default();
+            watcher.link(ended.tick.unwrap_or_default(), &flight.counters());
+            self.folder.page(&watcher.finish(&self.station, last, reason, told));
+        }
         let failed = self.folder.finish(ended, summary.clone(), self.station.records());
         let failed = failed.or_else(|| flight.log_error.clone());
         let exit = exit_of(flight, failed);
@@ -72,7 +95,9 @@ pub fn exit_of(flight: &Flight, failed: Option<String>) -> Option<ExitWith> {
 
 impl Crew for LoggedStation {
     fn command(&mut self, percept: &Percept) -> Command {
-        self.station.handle(percept)
+        let command = self.station.handle(percept);
+        self.decided = Some((percept.clone(), command));
+        command
     }
 
     fn command_at(&mut self, percept: &Percept, now: Tick) -> Command {
@@ -80,10 +105,38 @@ impl Crew for LoggedStation {
     }
 
     fn begin(&mut self) -> Result<Option<PathBuf>> {
-        self.folder.begin().map(Some)
+        let tlog = self.folder.begin()?;
+        self.watcher = Some(FlightWatcher::new(&self.station, &self.shown, self.live.clone()));
+        Ok(Some(tlog))
     }
 
     fn sent(&mut self) {
         self.folder.record(self.station.records());
+        if let (Some(watcher), Some((percept, command))) = (&mut self.watcher, self.decided.take()) {
+            watcher.saw(&self.station, &percept, command);
+        }
+    }
+
+    fn heard(&mut self, severity: u8, text: &str) {
+        let watched = self.watcher.iter().flat_map(FlightWatcher::feeds);
+        let time = self.station.records().last().map_or(0.0, |record| record.tick.0 as f64);
+        let time = time * self.station.scenario().scale.interval_s;
+        watched.for_each(|feed| feed.log(level(severity), time, format!("vehicle: {text}")));
+    }
+
+    fn link(&mut self, counters: &serde_json::Value) {
+        let tick = self.station.records().last().map_or(0, |record| record.tick.0);
+        if let Some(watcher) = &self.watcher {
+            watcher.link(tick, counters);
+        }
+    }
+}
+
+/// The log's level of a severity of MAVLink.
+fn level(severity: u8) -> &'static str {
+    match severity {
+        0..=3 => "error",
+        4 => "warn",
+        _ => "info",
     }
 }

@@ -21,6 +21,8 @@ use crate::lab::crew::{Landed, LoggedStation};
 use crate::lab::run_folder::{RunFolder, RunManifest};
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
+use crate::watch::Shown;
+use crate::watch::feed::Feed;
 
 /// How long a vehicle may take to start, and to end after its last tick.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -107,6 +109,10 @@ pub struct DemoFlight<'a> {
     pub speed: f64,
     /// File with the key of message signing, if the flight is signed.
     pub signing_key: Option<&'a Path>,
+    /// Under which names it is shown.
+    pub shown: &'a Shown,
+    /// Where others watch, if they can.
+    pub live: Option<&'a Feed>,
     /// Endpoints that watch the flight.
     pub forward: &'a [Endpoint],
 }
@@ -140,7 +146,8 @@ pub async fn fly(models: &Models, flight: &DemoFlight<'_>, dir: &Path, overwrite
     let station = models.station(flight.controller, scenario)?;
     let manifest = RunManifest::new(flight.controller, seed, station.policy().cloned());
     let folder = RunFolder::claim(dir, overwrite, scenario, manifest)?;
-    let mut crew = LoggedStation::new(station, folder, flight.controller, seed);
+    let mut crew = LoggedStation::new(station, folder, flight.controller, seed)
+        .shown_as(flight.shown.clone(), flight.live.cloned());
     let config = ScenarioFile::write(scenario, flight.controller)?;
     let vehicle = VehicleProcess::start(&config.0, flight).await?;
     let options = Options {

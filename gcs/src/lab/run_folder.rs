@@ -1,5 +1,5 @@
 //! The folder of one flight: `config.toml` (the resolved scenario), `record.jsonl`, `flight.tlog`, `path.svg`,
-//! `path.png`, and `run.json` (seed, revision, command line, policy, end and summary).
+//! `path.png`, `flight.html` (the flight as a page), and `run.json` (seed, revision, command line, policy, end and summary).
 //!
 //! A folder holds one flight. It is made when the flight begins, grows with it, and says in `run.json` how the
 //! flight has ended; while that is `null`, it has not. What cannot be written, on a full disk for one, is said
@@ -67,7 +67,8 @@ impl RunManifest {
 }
 
 /// The files of a flight.
-const FILES: [&str; 6] = ["config.toml", "run.json", "record.jsonl", "flight.tlog", "path.svg", "path.png"];
+const FILES: [&str; 7] =
+    ["config.toml", "run.json", "record.jsonl", "flight.tlog", "path.svg", "path.png", "flight.html"];
 
 /// Fresh folders that are tried.
 const TRIES: usize = 10_000;
@@ -154,6 +155,14 @@ impl RunFolder {
         if let Err(error) = made.and_then(|()| file.write_all(&lines)) {
             self.records = None;
             self.fail("record.jsonl", &error.into());
+        }
+    }
+
+    /// Writes the flight as a page.
+    pub fn page(&mut self, html: &str) {
+        let path = self.dir.join("flight.html");
+        if let Err(error) = write_whole(&path, html.as_bytes()) {
+            self.fail("flight.html", &error.into());
         }
     }
 

@@ -5,6 +5,7 @@ use crpl_sitl::radio::Fates;
 use crpl_sitl::scenario::CollisionAction;
 use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::flight::{Flight, FlightEnd};
 use crate::station::Station;
@@ -106,6 +107,20 @@ impl Summary {
             policy: station.policy().cloned(),
         })
     }
+}
+
+/// The metrics of the first flight, and under `flights` those of each by its number on the page.
+#[must_use]
+pub fn by_vehicle(flights: &[Summary]) -> Value {
+    let mut first = flights.first().and_then(|flight| serde_json::to_value(flight).ok()).unwrap_or_default();
+    let each = flights
+        .iter()
+        .zip(1..)
+        .map(|(flight, id): (_, u32)| (id.to_string(), serde_json::to_value(flight).unwrap_or_default()));
+    if let Value::Object(first) = &mut first {
+        first.insert("flights".into(), each.collect());
+    }
+    first
 }
 
 /// Flights side by side, for people.

@@ -157,6 +157,18 @@ impl Belief {
         self.seen
     }
 
+    /// The UAV's observer.
+    #[must_use]
+    pub fn controllable(&self) -> &LatentObserver {
+        &self.controllable
+    }
+
+    /// Each obstacle's observer.
+    #[must_use]
+    pub fn uncontrollable(&self) -> &[LatentObserver] {
+        &self.uncontrollable
+    }
+
     /// The ledger.
     #[must_use]
     pub fn ledger(&self) -> &Ledger {
@@ -176,6 +188,32 @@ fn latents(c: Estimate, u: &[Estimate]) -> Latents {
 }
 
 /// What became of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CommandFate {
+    /// Flown from its own interval on.
+    Delivered,
+    /// Flown later.
+    Delayed,
+    /// A newer one was flown before it.
+    Superseded,
+    /// Lost on the air.
+    Lost,
+}
+
+impl CommandFate {
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Delivered => "delivered",
+            Self::Delayed => "delayed",
+            Self::Superseded => "superseded",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+/// What a command waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Fate {
     Waiting,
@@ -206,19 +244,28 @@ impl Ledger {
         }
     }
 
-    /// The vehicle's report at the start of a tick tells of the interval before it.
-    pub fn hear(&mut self, heard: &Heard) {
+    /// The vehicle's report at the start of a tick tells of the interval before it: the commands whose fate is known
+    /// by now.
+    pub fn hear(&mut self, heard: &Heard) -> Vec<(Tick, CommandFate)> {
+        let mut told = Vec::new();
         let held = heard.held.map(|held| held.tick);
         if let Some(held) = held.filter(|held| self.flown.is_none_or(|flown| *held > flown)) {
             let later = self.open.split_off(&held.next());
             let settled = std::mem::replace(&mut self.open, later);
             for (tick, fate) in settled {
+                let fate = match fate {
+                    _ if tick == held && tick.next() == heard.tick => CommandFate::Delivered,
+                    _ if tick == held => CommandFate::Delayed,
+                    Fate::Waiting => CommandFate::Superseded,
+                    Fate::Lost => CommandFate::Lost,
+                };
                 match fate {
-                    _ if tick == held && tick.next() == heard.tick => self.counts.delivered += 1,
-                    _ if tick == held => self.counts.delayed += 1,
-                    Fate::Waiting => self.counts.superseded += 1,
-                    Fate::Lost => self.counts.lost += 1,
+                    CommandFate::Delivered => self.counts.delivered += 1,
+                    CommandFate::Delayed => self.counts.delayed += 1,
+                    CommandFate::Superseded => self.counts.superseded += 1,
+                    CommandFate::Lost => self.counts.lost += 1,
                 }
+                told.push((tick, fate));
             }
             self.flown = Some(held);
         }
@@ -229,6 +276,7 @@ impl Ledger {
         {
             *fate = Fate::Lost;
         }
+        told
     }
 
     /// The counts so far; what still waits counts as lost, as it would if the flight ended now.

@@ -219,6 +219,24 @@ impl Station {
         self.policy.as_ref()
     }
 
+    /// What it makes of the frames.
+    #[must_use]
+    pub fn belief(&self) -> &Belief {
+        &self.belief
+    }
+
+    /// Who decides.
+    #[must_use]
+    pub fn pilot(&self) -> &Pilot {
+        &self.pilot
+    }
+
+    /// The world model.
+    #[must_use]
+    pub fn world(&self) -> &Arc<WorldModel> {
+        &self.world
+    }
+
     /// The flight's parameters.
     #[must_use]
     pub fn scenario(&self) -> &Scenario {

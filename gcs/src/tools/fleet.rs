@@ -124,6 +124,14 @@ pub enum News {
     Armed(u8, bool),
 }
 
+impl News {
+    /// Whether the vehicle takes setpoints again.
+    #[must_use]
+    pub fn gives_back(&self) -> bool {
+        matches!(self, Self::Mode(_, before, after) if !before.takes_setpoints() && after.takes_setpoints())
+    }
+}
+
 impl fmt::Display for News {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -13,4 +13,6 @@ pub mod parquet;
 pub mod replay;
 pub mod retry;
 pub mod session;
+pub mod spotter;
+pub mod steering;
 pub mod tlog;

@@ -8,7 +8,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::time::Duration;
@@ -30,10 +30,14 @@ use crpl_sitl::program::terminal::{interrupted, speed};
 use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::geodesy;
+use serde_json::Value;
 use tokio::time::{Instant, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
+use crate::tools::spotter::Spotter;
 use crate::tools::tlog;
+use crate::watch::feed::{Feed, WatchEvent};
+use crate::watch::{WatchFlags, document};
 
 /// A pause that is longer is announced.
 const LONG: Duration = Duration::from_secs(10);
@@ -45,11 +49,13 @@ const GCS: u8 = 6;
 /// Flags of `gcs replay`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Replay {
-    /// flight.tlog or record.jsonl of a run folder
+    /// A run folder, or a flight.tlog or record.jsonl
     file: PathBuf,
     /// Endpoints to send to: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
-    #[arg(long, value_name = "ENDPOINT", num_args = 1.., required = true)]
+    #[arg(long, value_name = "ENDPOINT", num_args = 1.., required_unless_present = "watch")]
     forward: Vec<Endpoint>,
+    #[command(flatten)]
+    watch: WatchFlags,
     /// Speed relative to the recorded flight
     #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
@@ -69,7 +75,8 @@ pub type Script = Vec<(Duration, Vec<u8>)>;
 /// # Errors
 /// A log that does not read, and an endpoint that cannot be opened.
 pub async fn run(args: Replay) -> Result<()> {
-    let script = script(&args.file, args.all)?;
+    let file = log_in(&args.file);
+    let script = script(&file, args.all)?;
     let mut interrupted = pin!(interrupted());
     let mut hub = Hub::default();
     hub.local();
@@ -79,8 +86,10 @@ pub async fn run(args: Replay) -> Result<()> {
     for endpoint in &args.forward {
         crpl_sitl::outln!("forward: {}", hub.open(endpoint).await?);
     }
+    let page = args.watch.open()?;
+    let mut shown = page.as_ref().map(|page| ReplayShow::of(&file, page.feed()));
     // A port of ours has no listener before one has spoken to it.
-    if !args.forward.iter().any(Endpoint::speaks_at_once) {
+    if !args.forward.is_empty() && !args.forward.iter().any(Endpoint::speaks_at_once) {
         crpl_sitl::outln!("waiting for a connection");
         while hub.router().links().count() < 2 {
             tokio::select! {
@@ -107,11 +116,82 @@ pub async fn run(args: Replay) -> Result<()> {
             hub.notices();
         }
         hub.broadcast(bytes).await;
+        if let Some(shown) = &mut shown {
+            shown.play(*after, bytes);
+        }
     }
     let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
     hub.close().await;
     crpl_sitl::outln!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
+    if let Some(mut page) = page {
+        shown.iter_mut().for_each(ReplayShow::finish);
+        page.leave().await;
+    }
     Ok(())
+}
+
+/// The log of a run folder, if this is one.
+fn log_in(path: &Path) -> PathBuf {
+    let names = ["flight.tlog", "record.jsonl"].map(|name| path.join(name));
+    names.into_iter().find(|log| log.is_file()).unwrap_or_else(|| path.into())
+}
+
+/// What a page shows of a replay.
+enum ReplayShow {
+    /// The lines of the `flight.html` beside the log, at their times.
+    Lines { feed: Feed, lines: VecDeque<(Duration, String)> },
+    /// What the messages tell.
+    Spotted { feed: Feed, spotter: Spotter },
+}
+
+impl ReplayShow {
+    fn of(log: &Path, feed: &Feed) -> Self {
+        let feed = feed.clone();
+        let html = std::fs::read_to_string(log.with_file_name("flight.html")).ok();
+        match html.as_deref().and_then(document::lines_of) {
+            Some(lines) => Self::Lines { feed, lines: timed(lines) },
+            None => Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false), feed },
+        }
+    }
+
+    /// This was sent so long after the beginning.
+    fn play(&mut self, after: Duration, bytes: &[u8]) {
+        match self {
+            Self::Lines { feed, lines } => {
+                while let Some((_, line)) = lines.pop_front_if(|(due, _)| *due <= after) {
+                    feed.repeat(&line);
+                }
+            }
+            Self::Spotted { spotter, .. } => spotter.datagram(bytes, after),
+        }
+    }
+
+    fn finish(&mut self) {
+        match self {
+            Self::Lines { feed, lines } => lines.drain(..).for_each(|(_, line)| feed.repeat(&line)),
+            Self::Spotted { feed, .. } => {
+                feed.send(&WatchEvent::End { reason: "over".into(), summary: Value::Null });
+            }
+        }
+    }
+}
+
+/// Lines with the time of the flight at which each was told: an interval's own line at its end, all others when their
+/// interval begins.
+fn timed(lines: Vec<String>) -> VecDeque<(Duration, String)> {
+    let (mut now, mut interval_s) = (0.0_f64, Scenario::default().scale.interval_s);
+    let mut told = VecDeque::new();
+    for line in lines {
+        let value: Value = serde_json::from_str(&line).unwrap_or_default();
+        if let Some(seconds) = value["dt_s"].as_f64() {
+            interval_s = seconds;
+        }
+        let at = value["arrived"].as_u64().or(value["tick"].as_u64());
+        let ended = u64::from(value["kind"] == "tick");
+        now = at.map_or(now, |tick| now.max((tick + ended) as f64 * interval_s));
+        told.push_back((Duration::try_from_secs_f64(now).unwrap_or_default(), line));
+    }
+    told
 }
 
 fn script(path: &Path, all: bool) -> Result<Script> {

@@ -8,6 +8,7 @@ pub mod head;
 pub(crate) mod lanes;
 pub mod lookahead;
 pub mod objective;
+pub mod outlook;
 pub mod plant;
 pub mod policy;
 mod power;

@@ -41,6 +41,24 @@ pub(super) struct RolloutTrace {
     pub(super) comm: Lane,
 }
 
+/// What a rollout tells who looks ahead, `[interval]` each.
+pub(super) struct Told<Y> {
+    /// The policy's inputs, [`FEATURES`] an interval.
+    pub(super) x: Vec<Lane>,
+    /// y_c after each interval.
+    pub(super) y_c: Y,
+    /// γ/γ_min in each interval.
+    pub(super) ratio: Vec<Lane>,
+    /// Collision probability after each interval.
+    pub(super) risk: Vec<Lane>,
+}
+
+impl RolloutTrace {
+    pub(super) fn told(self) -> Told<impl Iterator<Item = [Lane; 2]>> {
+        Told { x: self.x, y_c: self.y.into_iter().skip(2), ratio: self.ratio, risk: self.risk }
+    }
+}
+
 /// A rollout's share in J: 1/K, and the slopes of J in its two scores.
 pub(super) struct Share {
     pub(super) each: f32,

@@ -137,6 +137,19 @@ impl Estimate {
     }
 }
 
+/// How well an [`Estimate`] is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Certainty {
+    /// Covariance of y, latent units squared.
+    pub y: Matrix2<f64>,
+    /// Covariance of v, latent units squared; says nothing unless `moving`.
+    pub v: Matrix2<f64>,
+    /// Whether two frames have given a speed.
+    pub moving: bool,
+    /// Whether the newest frame shows the half somewhere else, and was left out.
+    pub disagrees: bool,
+}
+
 /// An interval and the frame at its end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Interval {
@@ -185,6 +198,22 @@ impl LatentObserver {
         {
             return Some(Estimate { y: now.y, v: now.y - before.y });
         }
+        let Estimate { y, v } = self.filtered()?.0.estimate();
+        // No encoded step faster than v_max is real.
+        let v = if v.norm() > self.motion.reach { v * (self.motion.reach / v.norm()) } else { v };
+        Some(Estimate { y, v })
+    }
+
+    /// How well place and speed at the newest frame are known; `None` before the first.
+    #[must_use]
+    pub fn certainty(&self) -> Option<Certainty> {
+        let (filter, disagrees) = self.filtered()?;
+        let covariance = |at| filter.covariance.fixed_view::<2, 2>(at, at).into_owned();
+        Some(Certainty { y: covariance(0), v: covariance(2), moving: filter.moving, disagrees })
+    }
+
+    /// The filter after the newest frame, and whether that frame was left out because it shows the half elsewhere.
+    fn filtered(&self) -> Option<(Filter, bool)> {
         let rough = if self.motion.lost { self.roughness() } else { 1.0 };
         let noise = |seen| rough * self.noise(seen);
         let mut filter: Option<Filter> = None;
@@ -209,10 +238,7 @@ impl LatentObserver {
             }
             before = Some((k, seen));
         }
-        let Estimate { y, v } = filter?.estimate();
-        // No encoded step faster than v_max is real.
-        let v = if v.norm() > self.motion.reach { v * (self.motion.reach / v.norm()) } else { v };
-        Some(Estimate { y, v })
+        Some((filter?, odd.is_some()))
     }
 
     /// Where the half is after further intervals in which these normalised accelerations are flown, oldest first:

@@ -15,7 +15,7 @@ use crate::program::air::{self, AirGap};
 use crate::program::camera::CameraFlag;
 use crate::program::fleet;
 use crate::program::shell::{Ended, LINKS, Shell};
-use crate::program::terminal::{Signals, say, speed};
+use crate::program::terminal::{Signals, positive, say, speed};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Rule, Scenario, presets};
 use crate::vehicle::geodesy::Home;

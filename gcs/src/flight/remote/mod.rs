@@ -234,6 +234,11 @@ impl Remote {
         datagram
     }
 
+    /// What writes to the vehicle.
+    pub fn encoder(&mut self) -> &mut Encoder {
+        &mut self.station
+    }
+
     /// The station's heartbeat.
     pub fn heartbeat(&mut self) -> Vec<u8> {
         let mut datagram = Vec::new();

@@ -30,12 +30,14 @@ use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
 use crpl_sitl::program::progress;
-use crpl_sitl::program::terminal::{Signal, StopSignal};
+use crpl_sitl::program::terminal::{self, Signal, StopSignal};
 use rayon::prelude::*;
 
 use crate::lab::{Contender, policies};
 use crate::station::models::{MismatchRule, ModelFiles, Models, PolicyUse};
 use crate::station::pilot::Controller;
+use crate::watch::feed::{Feed, WatchEvent};
+use crate::watch::{WatchFlags, WatchPage};
 use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
@@ -73,6 +75,8 @@ pub struct Sweep {
     /// Folder of the results; an interrupted sweep resumes there [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    watch: WatchFlags,
     /// Print one JSON line per point and controller
     #[arg(long)]
     json: bool,
@@ -99,8 +103,21 @@ pub fn run(args: &Sweep) -> Result<()> {
     let plan = resolve(SweepFile::load(&args.config)?, &flags, &mut models)?;
     let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
     let folder = Folder::begin(&dir, plan, args.shard)?;
-    let episodes = complete(&folder, &models)?;
-    show(&folder, &episodes, args.json)
+    let page = args.watch.open()?;
+    if let Some(page) = &page {
+        let scenario = serde_json::to_value(&folder.plan.scenario).ok();
+        page.feed().send(&WatchEvent::computation("gcs sweep", &folder.plan.name, scenario));
+    }
+    let episodes = complete_shown(&folder, &models, page.as_ref().map(WatchPage::feed))?;
+    show(&folder, &episodes, args.json)?;
+    if let Some(page) = page {
+        table::rows(&folder.plan, &episodes).iter().for_each(|row| row.tell(page.feed()));
+        terminal::block_on(async {
+            page.close("over", serde_json::Value::Null).await;
+            Ok(())
+        })?;
+    }
+    Ok(())
 }
 
 /// What the flags of the trained models say of a sweep's policies.
@@ -153,12 +170,17 @@ fn default_folder(name: &str, shard: Shard) -> PathBuf {
 /// # Errors
 /// A flight without an interval, a file that cannot be written, a signal.
 pub fn complete(folder: &Folder, models: &Models) -> Result<Vec<SweepEpisode>> {
+    complete_shown(folder, models, None)
+}
+
+/// The same, with how far it is for who watches.
+fn complete_shown(folder: &Folder, models: &Models, feed: Option<&Feed>) -> Result<Vec<SweepEpisode>> {
     let (journal, mut episodes) = match folder.progress()? {
         Progress::Finished(episodes) => return Ok(episodes),
         Progress::Begun(journal, episodes) => (journal, episodes),
     };
     let stop = StopSignal::listen()?;
-    let flown = fly(folder, models, &episodes, &journal, &stop)?;
+    let flown = fly(folder, models, &episodes, &journal, &stop, feed)?;
     episodes.extend(flown);
     let episodes = folder.finish(episodes)?;
     journal.remove()?;
@@ -172,6 +194,7 @@ fn fly(
     done: &[SweepEpisode],
     journal: &Journal,
     stop: &StopSignal,
+    feed: Option<&Feed>,
 ) -> Result<Vec<SweepEpisode>> {
     let plan = &folder.plan;
     let mut contenders = Vec::new();
@@ -205,6 +228,10 @@ fn fly(
             let episode = SweepEpisode::fly(contender, *x, seed)?;
             journal.add(&episode)?;
             bar.inc(1);
+            if let Some(feed) = feed {
+                let text = format!("{} at {} = {x}", contender.controller, plan.axis);
+                feed.send(&WatchEvent::Progress { done: bar.position(), total: total as u64, text });
+            }
             Ok(Some(episode))
         })
         .collect();

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::episode::SweepEpisode;
 use super::plan::{SweepPlan, UncoveredPoint};
 use crate::station::pilot::Controller;
+use crate::watch::feed::{Feed, WatchEvent};
 use crpl_model::numeric::statistics::{Mean, Resamples};
 
 /// The outcomes in tables for people.
@@ -39,6 +40,23 @@ impl TableRow {
     #[must_use]
     pub fn share(&self, outcome: FlightOutcome) -> f64 {
         self.shares[outcome as usize]
+    }
+}
+
+impl TableRow {
+    /// Tells a page its means, with their intervals.
+    pub fn tell(&self, feed: &Feed) {
+        for metric in Metric::ALL {
+            let mean = &self.means[metric];
+            feed.send(&WatchEvent::Point {
+                x: self.x,
+                controller: self.controller.to_string(),
+                metric: metric.key().into(),
+                value: mean.mean,
+                low: mean.ci[0],
+                high: mean.ci[1],
+            });
+        }
     }
 }
 

@@ -24,6 +24,11 @@ impl Crpl {
         Self { policies, latent_scale: latent_scale as f32, v_max: limits.v_max as f32 }
     }
 
+    /// π_s and π_p.
+    pub(super) fn policies(&self) -> &Arc<Policies> {
+        &self.policies
+    }
+
     /// The executed actions of π_s and π_p.
     #[must_use]
     pub fn decide(&self, now: Latents) -> (Motion, TxPower) {

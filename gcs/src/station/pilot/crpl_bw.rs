@@ -8,6 +8,7 @@
 
 use std::sync::Arc;
 
+use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::StationHeads;
 use crpl_sitl::units::{Motion, TxPower};
 use crpl_sitl::world::channel::outage_snr;
@@ -33,11 +34,41 @@ impl CrplBw {
         Self { crpl, power }
     }
 
+    /// π_s and π_p; of them π_s flies.
+    pub(super) fn policies(&self) -> &Arc<Policies> {
+        self.crpl.policies()
+    }
+
+    /// How it chooses the power.
+    pub(super) fn rule(&self) -> MatchedRule {
+        self.power.rule()
+    }
+
     /// The motion of π_s; the smallest power that carries the packet.
     #[must_use]
     pub fn decide(&self, now: Latents) -> (Motion, TxPower) {
         let (motion, _) = self.crpl.decide(now);
         (motion, self.power.decide(now))
+    }
+}
+
+/// The power that carries a packet at a predicted SNR.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MatchedRule {
+    needed: f64,
+}
+
+impl MatchedRule {
+    /// `needed`: max(γ_min, γ_out), linear.
+    #[must_use]
+    pub fn new(needed: f64) -> Self {
+        Self { needed }
+    }
+
+    /// The power at a predicted SNR at a_p = 1, linear.
+    #[must_use]
+    pub fn for_snr(self, snr_at_low: f64) -> TxPower {
+        power(snr_at_low, self.needed)
     }
 }
 
@@ -53,6 +84,11 @@ impl MatchedPower {
     #[must_use]
     pub fn new(heads: Arc<StationHeads>, radio: RadioConstants) -> Self {
         Self { heads, radio }
+    }
+
+    /// The rule, without the head that predicts the SNR.
+    pub(super) fn rule(&self) -> MatchedRule {
+        MatchedRule::new(needed(&self.radio))
     }
 
     /// The power for this interval.

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::units::{Motion, TxPower};
 use nalgebra::Vector2;
@@ -24,6 +25,11 @@ impl CrplExactLatents {
     #[must_use]
     pub fn new(crpl: Crpl, world: Arc<WorldModel>) -> Self {
         Self { crpl, world, memory: LastLatents::default() }
+    }
+
+    /// π_s and π_p.
+    pub(super) fn policies(&self) -> &Arc<Policies> {
+        self.crpl.policies()
     }
 
     /// The executed actions of π_s and π_p.

@@ -5,6 +5,8 @@
 //! What it gains on a policy that was optimised once: it plans for the gusts that there were, and for
 //! obstacles that move, one or two, whose speed it reads from the frames.
 
+use std::sync::Arc;
+
 use anyhow::Result;
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::policy::{Policies, features};
@@ -14,6 +16,7 @@ use crpl_sitl::Scenario;
 use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use super::crpl_bw::{MatchedPower, needed};
+use super::foresight::{Foresight, PowerRule};
 use super::track::Track;
 use crate::station::belief::Latents;
 use crate::station::models::Models;
@@ -73,6 +76,16 @@ impl CrplRh {
             v_max: limits.v_max as f32,
             horizon,
             tracks: Vec::new(),
+        }
+    }
+
+    /// The policy that is under way; the rollouts that are tried beside it are not in it.
+    pub(super) fn foresight(&self) -> Foresight {
+        let motion = self.receding.motion().clone();
+        Foresight {
+            policies: Arc::new(Policies { motion, ..self.policies.clone() }),
+            reported_obstacle: Some(self.receding.reported_obstacle()),
+            power: PowerRule::Matched(self.power.rule()),
         }
     }
 

@@ -19,6 +19,7 @@ pub mod crpl;
 pub mod crpl_bw;
 pub mod crpl_exact_latents;
 pub mod crpl_rh;
+pub mod foresight;
 pub mod laws;
 pub mod reactive;
 pub mod track;
@@ -27,6 +28,7 @@ use std::sync::Arc;
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
+use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::StationHeads;
 use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::Telemetry;
@@ -36,6 +38,7 @@ use serde::{Deserialize, Serialize};
 use crate::station::belief::Belief;
 use crate::station::models::{ChosenPolicies, Models, PolicyOrigin, PolicyUse};
 use crate::station::seen::{MotionLimits, RadioConstants};
+use foresight::{Foresight, PowerRule};
 use reactive::{Law, Present, Reactive, Task};
 
 /// The controllers by name.
@@ -183,6 +186,21 @@ impl Pilot {
             Self::Apc(apc) => apc.decide(now, &present()),
             Self::ApcPaper(apc) => apc.decide(&present()),
             Self::Reactive(reactive) => reactive.decide(&present()),
+        }
+    }
+
+    /// The policies that it flies now; `None` for a controller without any.
+    #[must_use]
+    pub fn foresight(&self) -> Option<Foresight> {
+        let fixed = |policies: &Arc<Policies>, power| {
+            Some(Foresight { policies: policies.clone(), reported_obstacle: None, power })
+        };
+        match self {
+            Self::Crpl(crpl) => fixed(crpl.policies(), PowerRule::Policy),
+            Self::CrplBw(crpl) => fixed(crpl.policies(), PowerRule::Matched(crpl.rule())),
+            Self::CrplExactLatents(crpl) => fixed(crpl.policies(), PowerRule::Policy),
+            Self::CrplRh(crpl) => Some(crpl.foresight()),
+            Self::Apc(_) | Self::ApcPaper(_) | Self::Reactive(_) => None,
         }
     }
 }

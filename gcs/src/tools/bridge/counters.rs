@@ -6,6 +6,7 @@ use std::time::Duration;
 use crpl_sitl::link::sequence::SequenceTracker;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::program::timing::Histogram;
+use serde_json::Value;
 
 /// Counters of one link since it began.
 #[derive(Debug, Clone, Default)]
@@ -112,6 +113,17 @@ pub struct LinkRow<'a> {
     pub systems: Vec<(u8, u8)>,
     /// What it carried.
     pub counters: &'a Counters,
+}
+
+/// What each link has carried, by its name: for a page.
+#[must_use]
+pub fn by_name(rows: &[LinkRow<'_>]) -> Value {
+    let counts = rows.iter().flat_map(|row| {
+        let c = row.counters;
+        let counts = [("received", c.received()), ("sent", c.sent_frames), ("lost", c.lost())];
+        counts.map(|(what, count)| (format!("{} {what}", row.name), count.into()))
+    });
+    Value::Object(counts.collect())
 }
 
 /// A table for people: one line a link, rates over the last `period`.

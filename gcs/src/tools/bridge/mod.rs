@@ -29,6 +29,10 @@ use crpl_sitl::link::{BRIDGE, STATION_SYSTEM};
 use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use tokio::time::{Instant, interval_at};
 
+use crate::tools::spotter::Spotter;
+use crate::tools::steering::PageSteering;
+use crate::watch::SteerFlags;
+use crate::watch::control::{RequestQueue, VehicleRequest};
 use hub::{Hub, LinkSide};
 use router::{COPY_WITHIN, Notice};
 use spec::EndpointSpec;
@@ -57,6 +61,8 @@ pub struct Bridge {
     /// Log all packets to a tlog
     #[arg(long, value_name = "FILE")]
     tlog: Option<PathBuf>,
+    #[command(flatten)]
+    watch: SteerFlags,
     /// Print the counters every SECONDS; 0: only at the end
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     every: u64,
@@ -90,9 +96,22 @@ pub async fn run(args: Bridge) -> Result<()> {
         say(&format!("metrics: http://{address}/metrics"));
         scrapes = Some(requests);
     }
-    route(&mut hub, scrapes, Duration::from_secs(args.every)).await?;
+    let (page, requests) = args.watch.open()?;
+    let mut watched = page.as_ref().map(|page| {
+        // A link of its own hears what all hear.
+        hub.local();
+        Watched {
+            spotter: Spotter::new(page.feed().clone(), "gcs bridge", requests.is_some()),
+            steering: PageSteering::new(requests.as_ref().and_then(RequestQueue::take)),
+        }
+    });
+    route(&mut hub, scrapes, Duration::from_secs(args.every), &mut watched).await?;
     hub.close().await;
     say(&counters::table(&hub.rows(), &[], hub.elapsed()));
+    if let Some(mut page) = page {
+        page.hurry();
+        page.close("interrupted", counters::by_name(&hub.rows())).await;
+    }
     Ok(())
 }
 
@@ -109,10 +128,50 @@ fn push_hello(bridge: &mut Encoder, datagram: &mut Vec<u8>) {
     bridge.push(datagram, &message);
 }
 
+/// A page that shows the vehicles, and may ask something of them.
+struct Watched {
+    spotter: Spotter,
+    steering: PageSteering,
+}
+
+impl Watched {
+    /// Passes a page's request on to a vehicle that was heard.
+    fn ask(&mut self, asked: VehicleRequest, now: Duration) {
+        let system = u8::try_from(asked.vehicle).unwrap_or_default();
+        match self.spotter.autopilot(system) {
+            Some((stack, component)) => self.steering.ask(asked, stack, (system, component), now),
+            None => {
+                let answer = Err(format!("vehicle {} was not heard", asked.vehicle));
+                // A page that has gone away wants no answer.
+                let _ = asked.answer.send(answer);
+            }
+        }
+    }
+
+    /// Takes in what the hub has heard; what is to be sent by now.
+    fn turn(&mut self, hub: &mut Hub, bridge: &mut Encoder) -> Vec<u8> {
+        let now = hub.elapsed();
+        while let Some(datagram) = hub.take() {
+            self.spotter.datagram(&datagram, now);
+            self.steering.datagram(&datagram, now);
+        }
+        self.steering.poll(now, bridge)
+    }
+}
+
+/// The next request of a page, if there is one that may steer.
+async fn asked(watched: &mut Option<Watched>) -> VehicleRequest {
+    match watched {
+        Some(watched) => watched.steering.next().await,
+        None => std::future::pending().await,
+    }
+}
+
 async fn route(
     hub: &mut Hub,
     mut scrapes: Option<tokio::sync::mpsc::Receiver<metrics::Scrape>>,
     period: Duration,
+    watched: &mut Option<Watched>,
 ) -> Result<()> {
     let mut tick = interval_at(Instant::now(), SAVE);
     let mut bridge = Encoder::new(STATION_SYSTEM, BRIDGE);
@@ -127,6 +186,9 @@ async fn route(
                 let mut hello = Vec::new();
                 push_hello(&mut bridge, &mut hello);
                 hub.hello(&hello).await;
+                if let Some(watched) = watched {
+                    watched.spotter.counters(&counters::by_name(&hub.rows()), hub.elapsed());
+                }
                 let since = printed.elapsed();
                 if !period.is_zero() && since >= period {
                     printed = Instant::now();
@@ -138,10 +200,21 @@ async fn route(
                 // A client that has gone away wants no answer.
                 let _ = reply.send(counters::prometheus(&hub.rows(), hub.forward(), hub.elapsed()));
             }
+            request = asked(watched) => {
+                if let Some(watched) = watched {
+                    watched.ask(request, hub.elapsed());
+                }
+            }
             _ = &mut interrupted => return Ok(()),
         }
         for notice in hub.notices() {
             tell(&notice, hub);
+        }
+        if let Some(watched) = watched {
+            let datagram = watched.turn(hub, &mut bridge);
+            if !datagram.is_empty() {
+                hub.send(&datagram).await;
+            }
         }
     }
 }

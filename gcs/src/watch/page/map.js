@@ -1,0 +1,96 @@
+"use strict";
+// Where things lie on the canvas: the field's square, or metres round an origin. North is up in both.
+
+/** From the world to the canvas, in CSS pixels. */
+class Projection {
+  /** `bounds` is [west, south, east, north] in the world's unit, `box` is [x, y, width, height]. */
+  constructor(bounds, box) {
+    const [west, south, east, north] = bounds;
+    const [x, y, width, height] = box;
+    this.bounds = bounds;
+    this.box = box;
+    this.scale = Math.min(width / (east - west), height / (north - south));
+    this.left = x + (width - this.scale * (east - west)) / 2 - this.scale * west;
+    this.base = y + (height + this.scale * (north - south)) / 2 + this.scale * south;
+  }
+
+  x(east) {
+    return this.left + this.scale * east;
+  }
+
+  y(north) {
+    return this.base - this.scale * north;
+  }
+}
+
+const EARTH_RADIUS_M = 6_378_137;
+
+/** [latitude, longitude] in degrees to [east, north] in metres round `origin`; for fields of a few km. */
+function metresFromDegrees([latitude, longitude], origin) {
+  const radians = Math.PI / 180;
+  return [
+    (longitude - origin[1]) * radians * EARTH_RADIUS_M * Math.cos(origin[0] * radians),
+    (latitude - origin[0]) * radians * EARTH_RADIUS_M,
+  ];
+}
+
+/** The outer and inner rings of all polygons of a GeoJSON object, in metres round `origin`. */
+function ringsOf(geojson, origin) {
+  const rings = [];
+  const walk = (node) => {
+    if (!node) return;
+    for (const feature of node.features ?? []) walk(feature.geometry);
+    for (const geometry of node.geometries ?? []) walk(geometry);
+    if (node.geometry) walk(node.geometry);
+    const polygons = { Polygon: [node.coordinates], MultiPolygon: node.coordinates }[node.type] ?? [];
+    for (const polygon of polygons) {
+      for (const ring of polygon) {
+        rings.push(ring.map(([longitude, latitude]) => metresFromDegrees([latitude, longitude], origin)));
+      }
+    }
+  };
+  walk(geojson);
+  return rings;
+}
+
+/** The largest of 1, 2 and 5 times a power of ten that is no more than `value`. */
+function niceBelow(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [5, 2, 1].map((digit) => digit * power).find((nice) => nice <= value * (1 + 1e-9)) ?? power;
+}
+
+/** Bounds of a local map: the flights, the buildings and the scenario's places, with room about them. */
+function localBounds(store) {
+  const { start, goal, channel } = store.scenario;
+  [start, goal, channel?.base_station].forEach((place) => store.include(place));
+  const [west, south, east, north] = store.extent;
+  if (west > east) return [-50, -50, 50, 50];
+  // A margin of a tenth, and never less than 20 m across; rounded, so that a flight does not shake the map.
+  const step = niceBelow(Math.max(east - west, north - south, 20) / 4);
+  const grow = step / 2;
+  return [
+    Math.floor((west - grow) / step) * step,
+    Math.floor((south - grow) / step) * step,
+    Math.ceil((east + grow) / step) * step,
+    Math.ceil((north + grow) / step) * step,
+  ];
+}
+
+/** Line segments [x0, y0, x1, y1] where the row-by-row grid of n*n values crosses `level`, in cells. */
+function contour(values, n, level) {
+  const segments = [];
+  const cut = (a, b) => (level - a) / (b - a);
+  for (let row = 0; row + 1 < n; row += 1) {
+    for (let column = 0; column + 1 < n; column += 1) {
+      const at = row * n + column;
+      const [sw, se, ne, nw] = [values[at], values[at + 1], values[at + n + 1], values[at + n]];
+      const points = [];
+      if (sw < level !== se < level) points.push([column + cut(sw, se), row]);
+      if (se < level !== ne < level) points.push([column + 1, row + cut(se, ne)]);
+      if (nw < level !== ne < level) points.push([column + cut(nw, ne), row + 1]);
+      if (sw < level !== nw < level) points.push([column, row + cut(sw, nw)]);
+      for (let k = 0; k + 1 < points.length; k += 2) segments.push([...points[k], ...points[k + 1]]);
+    }
+  }
+  return segments;
+}

@@ -1,0 +1,196 @@
+//! One flight's observer: it copies what the station knows after each command has left, and a thread beside the
+//! flight, or nobody until the flight is over, makes lines of it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
+
+use crpl_sitl::radio::message::{Command, Percept, Telemetry};
+use serde_json::Value;
+
+use crate::station::Station;
+use crate::watch::feed::{Feed, ShownFrame, ShownLimits, ShownVehicle, VERSION, WatchEvent, rounded};
+use crate::watch::narrator::{Narrator, SeenScene, StationSight};
+use crate::watch::{Shown, document};
+
+/// Scenes that wait to be told; of what comes beyond, pictures and beliefs are left out.
+const WAITING: usize = 256;
+
+/// Scenes that are kept until the flight is over; of more, every other one is forgotten.
+const KEPT: usize = 256;
+
+/// Where sights go.
+#[derive(Debug)]
+enum Telling {
+    /// To a thread, while the flight is on.
+    Beside { sights: Sender<StationSight>, waiting: Arc<AtomicUsize>, thread: JoinHandle<Narrator> },
+    /// Nowhere until it is over.
+    After { sights: Vec<StationSight>, scenes: usize, stride: u64, narrator: Box<Narrator> },
+}
+
+/// Watches one flight.
+#[derive(Debug)]
+pub struct FlightWatcher {
+    /// Of this flight alone, for its `flight.html`.
+    own: Feed,
+    /// Of the whole program, if anybody can watch it.
+    live: Option<Feed>,
+    telling: Telling,
+    vehicle: u32,
+    told: usize,
+}
+
+/// The scenario's limits, as the page draws them.
+fn limits(station: &Station) -> ShownLimits {
+    let scenario = station.scenario();
+    ShownLimits {
+        delta: scenario.safety.collision_tolerance,
+        gamma_min_db: rounded(10.0 * scenario.channel.snr_min.log10(), 3),
+        eta: scenario.safety.outage_tolerance,
+        rate_min: scenario.radio.packet_bits,
+    }
+}
+
+/// The first line of a flight of `station`.
+#[must_use]
+pub fn hello(station: &Station, shown: &Shown) -> WatchEvent {
+    let scenario = station.scenario();
+    WatchEvent::Hello {
+        version: VERSION,
+        title: format!("{}: {}", shown.program, scenario.name),
+        program: shown.program.clone(),
+        revision: crate::revision().into(),
+        seed: shown.seed,
+        frame: ShownFrame::Square,
+        scenario: serde_json::to_value(scenario).ok(),
+        vehicles: shown.vehicles.clone(),
+        limits: Some(limits(station)),
+        ticks: Some(scenario.horizon),
+        dt_s: scenario.scale.interval_s,
+        control: shown.control,
+    }
+}
+
+impl FlightWatcher {
+    /// Watches the flight of the last vehicle of `shown`; `live` is where others watch.
+    #[must_use]
+    pub fn new(station: &Station, shown: &Shown, live: Option<Feed>) -> Self {
+        let own = Feed::default();
+        let vehicle: Vec<ShownVehicle> = shown.vehicles.last().cloned().into_iter().collect();
+        let id = vehicle.first().map_or(1, |vehicle| vehicle.id);
+        own.send(&hello(station, &Shown { vehicles: vehicle, control: false, ..shown.clone() }));
+        if let Some(live) = &live {
+            live.send(&hello(station, shown));
+        }
+        let feeds: Vec<Feed> = std::iter::once(own.clone()).chain(live.clone()).collect();
+        let narrator = Narrator::new(feeds, id, station.scenario(), station.world());
+        let telling = match &live {
+            Some(_) => beside(narrator),
+            None => Telling::After { sights: Vec::new(), scenes: 0, stride: 1, narrator: Box::new(narrator) },
+        };
+        Self { own, live, telling, vehicle: id, told: 0 }
+    }
+
+    /// The feeds that it tells.
+    pub fn feeds(&self) -> impl Iterator<Item = &Feed> {
+        std::iter::once(&self.own).chain(&self.live)
+    }
+
+    /// The command to `percept` has left.
+    pub fn saw(&mut self, station: &Station, percept: &Percept, command: Command) {
+        let wanted = match &self.telling {
+            Telling::Beside { waiting, .. } => waiting.load(Ordering::Relaxed) < WAITING,
+            Telling::After { stride, .. } => percept.telemetry.tick.0.is_multiple_of(*stride),
+        };
+        let scene = wanted.then(|| SeenScene {
+            frame: percept.frame.clone(),
+            belief: station.belief().clone(),
+            foresight: station.pilot().foresight(),
+        });
+        self.add(station, percept.telemetry, Some(command), scene);
+    }
+
+    fn add(
+        &mut self,
+        station: &Station,
+        telemetry: Telemetry,
+        command: Option<Command>,
+        scene: Option<SeenScene>,
+    ) {
+        let records = station.records().get(self.told..).unwrap_or_default().to_vec();
+        self.told += records.len();
+        let sight = StationSight { telemetry, command, records, scene };
+        match &mut self.telling {
+            Telling::Beside { sights, waiting, .. } => {
+                waiting.fetch_add(1, Ordering::Relaxed);
+                // A thread that is gone tells nothing more.
+                let _ = sights.send(sight);
+            }
+            Telling::After { sights, scenes, stride, .. } => {
+                *scenes += usize::from(sight.scene.is_some());
+                sights.push(sight);
+                if *scenes > KEPT {
+                    *stride *= 2;
+                    *scenes = 0;
+                    for sight in sights.iter_mut() {
+                        let keeps = sight.telemetry.tick.0.is_multiple_of(*stride);
+                        sight.scene.take_if(|_| !keeps);
+                        *scenes += usize::from(sight.scene.is_some());
+                    }
+                }
+            }
+        }
+    }
+
+    /// Counters of the flight's link, by name.
+    pub fn link(&self, tick: u64, counters: &Value) {
+        let event = WatchEvent::Link { vehicle: self.vehicle, tick, counters: counters.clone() };
+        self.feeds().for_each(|feed| feed.send(&event));
+    }
+
+    /// The flight is over: tells what is left and gives the flight as one page. `last` is its last report, `summary`
+    /// its metrics by name.
+    #[must_use]
+    pub fn finish(
+        mut self,
+        station: &Station,
+        last: Option<&Telemetry>,
+        reason: &str,
+        summary: Value,
+    ) -> String {
+        if let Some(last) = last {
+            self.add(station, *last, None, None);
+        }
+        let narrator = match self.telling {
+            Telling::Beside { sights, thread, .. } => {
+                drop(sights);
+                thread.join().ok()
+            }
+            Telling::After { sights, mut narrator, .. } => {
+                sights.into_iter().for_each(|sight| narrator.tell(sight));
+                Some(*narrator)
+            }
+        };
+        if let Some(mut narrator) = narrator {
+            narrator.finish();
+        }
+        let end = WatchEvent::End { reason: reason.into(), summary };
+        self.own.send(&end);
+        document::flight(&self.own.all())
+    }
+}
+
+fn beside(mut narrator: Narrator) -> Telling {
+    let (sights, told) = channel::<StationSight>();
+    let waiting = Arc::new(AtomicUsize::new(0));
+    let left = waiting.clone();
+    let thread = std::thread::spawn(move || {
+        for sight in told {
+            left.fetch_sub(1, Ordering::Relaxed);
+            narrator.tell(sight);
+        }
+        narrator
+    });
+    Telling::Beside { sights, waiting, thread }
+}

@@ -1,0 +1,79 @@
+//! What watching costs a flight: from a complete frame to its command on the socket, without a page, with a page that
+//! nobody reads, and with three readers. Flights in real time, one kind after the other in turn, so that other load
+//! on the machine meets all kinds alike.
+//!
+//! `cargo bench -p tests --bench watch`
+
+#![expect(clippy::unwrap_used, reason = "a bench fails by panicking")]
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+
+use serde_json::Value;
+use tests::program::Program;
+
+/// Flights of each kind.
+const FLIGHTS: usize = 8;
+/// Speed relative to real time: 50 intervals a second.
+const SPEED: &str = "20";
+
+/// Whether there is a page, and who reads it.
+const KINDS: [(&str, Option<usize>); 3] =
+    [("no page", None), ("a page, no reader", Some(0)), ("a page, 3 readers", Some(3))];
+
+/// Reads all events until the program ends.
+fn read_all(host: &str) -> std::thread::JoinHandle<usize> {
+    let mut stream = TcpStream::connect(host).unwrap();
+    write!(stream, "GET /events HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        // A server that ends is the end of the flight.
+        let _ = stream.read_to_end(&mut bytes);
+        bytes.len()
+    })
+}
+
+/// Median and 99th percentile of a flight, ms.
+fn fly(out: &Path, readers: Option<usize>) -> [f64; 2] {
+    let out = out.to_str().unwrap();
+    let mut args = vec!["demo", "--controller", "crpl", "--pace", "realtime", "--speed", SPEED, "--json"];
+    args.extend(["--overwrite", "--out", out]);
+    args.extend(readers.map(|_| "--watch"));
+    let program = Program::start("gcs", &args, None).unwrap();
+    let mut threads = Vec::new();
+    if let Some(readers) = readers {
+        program.logs("watch: http://").unwrap();
+        let so_far = program.so_far();
+        let host = so_far.lines().find_map(|line| line.strip_prefix("watch: http://")).unwrap().to_owned();
+        threads.extend((0..readers).map(|_| read_all(&host)));
+    }
+    let told: Value = serde_json::from_str(&program.wait().unwrap().good().unwrap()).unwrap();
+    assert!(threads.into_iter().all(|thread| thread.join().unwrap() > 0));
+    let latency = &told["flights"][0]["latency_ms"];
+    ["p50", "p99"].map(|key| latency[key].as_f64().unwrap())
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    0.5 * (values[(n - 1) / 2] + values[n / 2])
+}
+
+fn main() {
+    let dir = std::env::temp_dir().join(format!("crpl-watch-{}", std::process::id()));
+    let mut told = KINDS.map(|_| Vec::new());
+    for _ in 0..FLIGHTS {
+        for ((_, readers), told) in KINDS.iter().zip(&mut told) {
+            told.push(fly(&dir, *readers));
+        }
+    }
+    std::fs::remove_dir_all(&dir).unwrap();
+    println!("frame to command, ms, median of {FLIGHTS} flights of 100 intervals at {SPEED} times real time");
+    let mut first = None;
+    for ((name, _), told) in KINDS.iter().zip(told) {
+        let [p50, p99] = [0, 1].map(|i| median(told.iter().map(|flight| flight[i]).collect()));
+        let base = *first.get_or_insert(p99);
+        println!("{name:<20} median {p50:.3}  p99 {p99:.3}  p99 {:+.0} %", 100.0 * (p99 / base - 1.0));
+    }
+}
