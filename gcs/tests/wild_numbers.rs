@@ -1,7 +1,5 @@
 //! What a vehicle sends may hold any number. None of them stops the station: not its tools, not a flight.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
-
 use std::time::Duration;
 
 use crpl_gcs::flight::foreign::Foreign;

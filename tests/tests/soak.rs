@@ -1,8 +1,6 @@
 //! Twenty vehicles, stations that come and go, lossy links, a bridge that is restarted and whose disk is full:
 //! half a minute of `tests/soak/soak.py`, which runs for as long as it is told.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
-
 use tests::{program, python};
 
 #[test]
