@@ -8,8 +8,6 @@
 //! Everything else passes byte for byte, both ways. Pictures are asked for here, so requests of the ground go no
 //! further. [`PictureEncoder`] knows no socket and no clock.
 
-#![expect(clippy::disallowed_methods, reason = "a shell: it has sockets and timers")]
-
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;

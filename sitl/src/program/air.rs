@@ -210,10 +210,10 @@ mod tests {
         let mut encoder = Encoder::new(1, 1);
         (0..2).for_each(|_| encoder.push(&mut bytes, &HEARTBEAT_DATA::default()));
         let mut arrived = Vec::new();
-        gap.poll(&sim, Duration::ZERO, |..| unreachable!("nothing was offered"));
+        gap.poll(&sim, Duration::ZERO, |_, _, _| unreachable!("nothing was offered"));
         gap.offer(Way::Down, a, &bytes, Duration::ZERO);
         gap.offer(Way::Up, b, &bytes[..30], Duration::ZERO);
-        gap.poll(&sim, Duration::from_millis(1), |..| unreachable!("it takes longer"));
+        gap.poll(&sim, Duration::from_millis(1), |_, _, _| unreachable!("it takes longer"));
         gap.offer(Way::Up, b, &bytes[30..], Duration::from_millis(2));
         while let Some(next) = gap.next_event() {
             gap.poll(&sim, next, |way, peer, bytes| arrived.push((way, peer, bytes.to_vec())));

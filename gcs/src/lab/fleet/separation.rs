@@ -60,7 +60,7 @@ impl<'a> Separation<'a> {
         obstacles: &Obstacles,
     ) -> f64 {
         let left = if own.v.perp(&a) > 0.0 { LEFT } else { 0.0 };
-        let short = (self.keep - self.apart(own, a, others)).max(0.0) + self.into_obstacle(own, a, obstacles);
+        let short = (self.keep - self.apart(own, a, others)).max(0.0) + self.lacks(own, a, obstacles);
         (a - wish).norm_squared() + left + 1000.0 * short
     }
 
@@ -80,7 +80,7 @@ impl<'a> Separation<'a> {
     }
 
     /// How much the way lacks of the clearance to an obstacle, units.
-    fn into_obstacle(&self, own: State, a: Vector2<f64>, obstacles: &Obstacles) -> f64 {
+    fn lacks(&self, own: State, a: Vector2<f64>, obstacles: &Obstacles) -> f64 {
         let v = self.speed(own, a);
         let least = constrained_clearance(&self.scenario.safety);
         let clear = |j: u32| obstacles.clearance(own.r + f64::from(j) * v, self.scenario);
