@@ -19,15 +19,25 @@ fn two_pages_watch_a_flight_to_its_end_scrub_it_and_stay_apart() {
     let out = dir.path().join("run");
     let args = ["demo", "--watch", "--watch-stay", "--out", out.to_str().unwrap()];
     let demo = Program::start("gcs", &args, None).unwrap();
-    demo.logs(ADDRESS).unwrap();
-    let so_far = demo.so_far();
-    let address = so_far.lines().find_map(|line| line.strip_prefix(ADDRESS)).unwrap().trim();
-    let said = browser::script("live.cjs", &[address, "2"]).unwrap().good().unwrap();
+    let said = browser::script("live.cjs", &[address(&demo), "2".into()]).unwrap().good().unwrap();
     print!("{said}");
     let compressed = said.split(" bytes, ").nth(1).unwrap().split(' ').next().unwrap();
     assert!(compressed.parse::<usize>().unwrap() < 300_000, "{said}");
     demo.interrupt().unwrap();
     demo.wait().unwrap().good().unwrap();
+}
+
+#[test]
+fn a_page_with_the_token_steers_after_a_confirmation_and_shows_the_answer() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let (_sitl, vehicle) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let connect = format!("udpout:{vehicle}");
+    // A flight that lasts longer than any browser takes to start.
+    let args = ["fly", "--connect", &connect, "--watch", "--control", "--ticks", "2000", "--out"];
+    let args: Vec<&str> = args.into_iter().chain(out.to_str()).collect();
+    let fly = Program::start("gcs", &args, None).unwrap();
+    print!("{}", browser::script("control.cjs", &[address(&fly)]).unwrap().good().unwrap());
 }
 
 #[test]
@@ -51,6 +61,13 @@ fn axe_finds_no_serious_fault_in_either_theme_at_any_width() {
 fn eight_vehicles_play_at_speed_20() {
     let dir = tempfile::tempdir().unwrap();
     print!("{}", browser::script("frames.cjs", &[flight(&dir)]).unwrap().good().unwrap());
+}
+
+/// Where the program serves its page, as it says.
+fn address(program: &Program) -> String {
+    program.logs(ADDRESS).unwrap();
+    let so_far = program.so_far();
+    so_far.lines().find_map(|line| line.strip_prefix(ADDRESS)).unwrap().trim().into()
 }
 
 /// `flight.html` of CRPL's flight of the demo, flown into `dir`.

@@ -85,21 +85,14 @@ fn size(lines: &[&FeedLine]) -> usize {
 
 /// Of pictures, beliefs and fields every `stride`-th; everything else whole.
 fn thinned(lines: &[FeedLine], stride: u64) -> Vec<&FeedLine> {
-    let mut counts = [0_u64; 2];
-    let mut is_kept = |line: &FeedLine| {
-        let count = match line.weight {
-            // Belief and picture of a tick are two lines.
-            LineWeight::Bulk => {
-                counts[0] += 1;
-                (counts[0] - 1) / 2
-            }
-            LineWeight::Field => {
-                counts[1] += 1;
-                counts[1] - 1
-            }
-            LineWeight::Line | LineWeight::Kept => return true,
-        };
-        count.is_multiple_of(stride)
+    let mut fields = 0_u64;
+    let mut is_kept = |line: &FeedLine| match line.weight {
+        LineWeight::Bulk => line.tick.is_multiple_of(stride),
+        LineWeight::Field => {
+            fields += 1;
+            (fields - 1).is_multiple_of(stride)
+        }
+        LineWeight::Line | LineWeight::Kept => true,
     };
     lines.iter().filter(|line| is_kept(line)).collect()
 }
@@ -149,8 +142,8 @@ mod tests {
 
     use super::*;
 
-    fn line(number: u64, weight: LineWeight, text: &str) -> FeedLine {
-        FeedLine { number, weight, text: Arc::from(text) }
+    fn line(tick: u64, weight: LineWeight, text: &str) -> FeedLine {
+        FeedLine { number: 0, weight, tick, text: Arc::from(text) }
     }
 
     #[test]
@@ -179,9 +172,9 @@ mod tests {
         let picture = "p".repeat(20_000);
         let mut lines = vec![line(0, LineWeight::Kept, "hello")];
         for n in 0..500 {
-            lines.push(line(1, LineWeight::Line, &format!("{{\"tick\":{n}}}")));
-            lines.push(line(2, LineWeight::Bulk, &picture));
-            lines.push(line(3, LineWeight::Bulk, &picture));
+            lines.push(line(0, LineWeight::Line, &format!("{{\"tick\":{n}}}")));
+            lines.push(line(n, LineWeight::Bulk, &picture));
+            lines.push(line(n, LineWeight::Bulk, &picture));
         }
         let html = flight(&lines);
         assert!(html.len() < 2_000_000, "{}", html.len());

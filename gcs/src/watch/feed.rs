@@ -239,6 +239,15 @@ impl WatchEvent {
         }
     }
 
+    /// The tick of a picture or a belief.
+    fn tick(&self) -> u64 {
+        match self {
+            Self::Picture { tick, .. } => *tick,
+            Self::Belief(belief) => belief.tick,
+            _ => 0,
+        }
+    }
+
     /// How soon a history that is full forgets it.
     fn weight(&self) -> LineWeight {
         match self {
@@ -270,6 +279,8 @@ pub struct FeedLine {
     pub number: u64,
     /// How soon it is forgotten.
     pub weight: LineWeight,
+    /// Of a picture or a belief, its tick.
+    pub tick: u64,
     /// JSON without a line's end.
     pub text: Arc<str>,
 }
@@ -346,7 +357,7 @@ impl Feed {
     /// Adds a line and wakes who reads; waits for nobody.
     pub fn send(&self, event: &WatchEvent) {
         if let Ok(text) = serde_json::to_string(event) {
-            self.push(text, event.weight());
+            self.push(text, event.weight(), event.tick());
         }
     }
 
@@ -359,15 +370,15 @@ impl Feed {
             Some("picture" | "belief") => LineWeight::Bulk,
             _ => LineWeight::Line,
         };
-        self.push(line.to_owned(), weight);
+        self.push(line.to_owned(), weight, value["tick"].as_u64().unwrap_or_default());
     }
 
-    fn push(&self, text: String, weight: LineWeight) {
+    fn push(&self, text: String, weight: LineWeight, tick: u64) {
         let mut history = self.history();
         let number = history.next;
         history.next += 1;
         history.bytes += text.len();
-        history.lines.push_back(FeedLine { number, weight, text: text.into() });
+        history.lines.push_back(FeedLine { number, weight, tick, text: text.into() });
         history.trim(self.0.capacity);
         drop(history);
         self.0.news.send_replace(number + 1);

@@ -73,7 +73,6 @@ pub struct Narrator {
     ledger: Ledger,
     sent: BTreeMap<Tick, Command>,
     field: Option<(Obstacles, TxPower)>,
-    before: Option<Record>,
 }
 
 impl Narrator {
@@ -90,7 +89,6 @@ impl Narrator {
             ledger: Ledger::new(scenario.radio.rule),
             sent: BTreeMap::new(),
             field: None,
-            before: None,
         }
     }
 
@@ -101,7 +99,7 @@ impl Narrator {
     /// Tells a sight.
     pub fn tell(&mut self, sight: StationSight) {
         let tick = sight.telemetry.tick.0;
-        sight.records.into_iter().for_each(|record| self.interval(record));
+        sight.records.iter().for_each(|record| self.interval(record));
         for (sent, fate) in self.ledger.hear(&Heard::from(&sight.telemetry)) {
             self.settled(sent, fate, Some(tick));
         }
@@ -124,31 +122,14 @@ impl Narrator {
         open.into_iter().for_each(|tick| self.settled(tick, CommandFate::Lost, None));
     }
 
-    /// The record's own keys, the vehicle and the rate; and what has happened, in words.
-    fn interval(&mut self, record: Record) {
+    /// The record's own keys, the vehicle and the rate.
+    fn interval(&self, record: &Record) {
         let snr = Snr::from_db(f64::from(record.snr_db));
         let rate = channel::bits(self.scenario.radio.b_dt, snr);
-        let Ok(mut line) = serde_json::to_value(&record) else { return };
+        let Ok(mut line) = serde_json::to_value(record) else { return };
         line["vehicle"] = self.vehicle.into();
         line["rate"] = json!(rounded(rate, 4));
         self.send(&WatchEvent::Tick(line));
-        let was = self.before.as_ref();
-        let changes = [
-            (record.outage, was.is_some_and(|r| r.outage), "warn", "outage", "link again"),
-            (record.collided, was.is_some_and(|r| r.collided), "error", "touches an obstacle", "clear again"),
-            (record.edge, was.is_some_and(|r| r.edge), "warn", "at the field's edge", "off the edge"),
-        ];
-        let time = record.tick.0 as f64 * self.scenario.scale.interval_s;
-        for (is, was, level, begins, ends) in changes {
-            let (level, text) = match (was, is) {
-                (false, true) => (level, begins),
-                (true, false) => ("info", ends),
-                _ => continue,
-            };
-            let text = format!("vehicle {}: {text}, interval {}", self.vehicle, record.tick.0);
-            self.feeds.iter().for_each(|feed| feed.log(level, time, &text));
-        }
-        self.before = Some(record);
     }
 
     fn settled(&mut self, sent: Tick, fate: CommandFate, arrived: Option<u64>) {

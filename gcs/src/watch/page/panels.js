@@ -107,6 +107,7 @@ class Panels {
     const belief = flight?.beliefs.at(tick);
     this.find("#belief").classList.toggle("absent", !flight || flight.beliefs.length === 0);
     this.find(".seen").hidden = !flight || flight.pictures.length === 0;
+    this.find("#belief").classList.toggle("no-outlook", !(belief?.snr_db?.length > 0));
     const line = belief && flight.record.at(belief.tick);
     const off = belief?.position && line?.tick === belief.tick && line.r
       ? Math.hypot(belief.position[0] - line.r[0], belief.position[1] - line.r[1])
@@ -167,10 +168,13 @@ class Panels {
     this.find("#ledger tbody").replaceChildren(...rows);
   }
 
+  /** Counters of the link, as they stood last; of a link that was counted once, as it was counted. */
   link(flight, tick) {
-    const counters = flight?.links.at(tick)?.counters;
-    this.find("#link").hidden = !flight || flight.links.length === 0;
-    fillList(this.find("#counters"), Object.entries(counters ?? {}).map(([name, value]) => [name, shown(value)]));
+    const counted = flight?.links.at(tick) ?? flight?.links.values[0];
+    this.find("#link").hidden = !counted;
+    if (!counted) return;
+    this.find("#link-title").textContent = `Link, interval ${counted.tick}`;
+    fillList(this.find("#counters"), Object.entries(counted.counters ?? {}).flatMap(([name, value]) => flat(name, value)));
   }
 
   log() {
