@@ -88,7 +88,7 @@ struct Demo {
     #[command(flatten)]
     models: ModelFiles,
     /// Controllers to fly, in this order
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
     controller: Vec<Controller>,
     /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -163,7 +163,7 @@ struct Fly {
     #[command(flatten)]
     identity: Identity,
     /// Controller to fly
-    #[arg(long, value_enum, default_value = "crpl")]
+    #[arg(long, default_value = "crpl")]
     controller: Controller,
     /// Stop after N control intervals [default: the scenario's horizon]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -221,7 +221,7 @@ async fn demo(args: Demo) -> Result<()> {
             signing_key: args.signing_key.as_deref(),
             forward: &args.forward,
         };
-        let dir = out.join(controller.to_string());
+        let dir = out.join(controller.file_name());
         let landed = demo::fly(&models, &flight, &dir, args.overwrite).await?;
         flights.extend(landed.summary);
         exit = landed.exit;

@@ -78,6 +78,10 @@ impl Crew for LoggedStation {
         self.folder.begin().map(Some)
     }
 
+    fn failure(&self) -> Option<String> {
+        self.station.failure().map(ToOwned::to_owned)
+    }
+
     fn sent(&mut self) {
         self.folder.record(self.station.records());
     }

@@ -20,7 +20,7 @@ pub mod tune;
 
 use std::sync::Arc;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::sim::metric::FlightScore;
@@ -30,6 +30,7 @@ use crpl_sitl::{Scenario, Sim};
 use crate::station::Station;
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::crpl::Crpl;
+use crate::station::pilot::own::AnswerTally;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
 
@@ -41,6 +42,9 @@ pub fn fly(sim: &mut Sim, station: &mut Station, ticks: u64) {
             break;
         }
         let command = station.handle(&sim.percept());
+        if station.failure().is_some() {
+            break;
+        }
         sim.handle(command);
         sim.advance();
     }
@@ -105,9 +109,22 @@ impl Contender {
     /// A whole flight's score.
     ///
     /// # Errors
-    /// If the scenario's horizon is 0.
+    /// If the scenario's horizon is 0; a controller of somebody's own that gives no answers.
     pub fn fly(&self, seed: u64) -> Result<FlightScore> {
-        self.flown(seed).score().context("no interval was flown")
+        let station = self.flown(seed);
+        if let Some(why) = station.failure() {
+            bail!("flight of seed {seed}: {why}");
+        }
+        station.score().context("no interval was flown")
+    }
+
+    /// How a controller of somebody's own has answered in the flights so far; `None` for another.
+    #[must_use]
+    pub fn answers(&self) -> Option<AnswerTally> {
+        match &self.pilot {
+            Pilot::Own(own) => Some(own.all_answers()),
+            _ => None,
+        }
     }
 
     fn flown(&self, seed: u64) -> Station {

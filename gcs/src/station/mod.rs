@@ -21,6 +21,7 @@ use crpl_sitl::units::{Motion, Tick, TxPower};
 
 use crate::station::belief::Belief;
 use crate::station::models::{Models, PolicyOrigin};
+use crate::station::pilot::own::AnswerTally;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
 
@@ -74,7 +75,7 @@ impl Station {
         self.close(&percept.telemetry);
         let heard = Heard::from(&percept.telemetry);
         self.belief.observe(&self.world, &heard, &percept.frame);
-        let decision = self.pilot.decide(&self.belief, &percept.telemetry, &self.scenario.scale);
+        let decision = self.pilot.decide(&self.belief, percept, &self.scenario.scale);
         let command = self.command(percept.telemetry.tick, decision);
         self.belief.ledger_mut().send(command.tick);
         self.last = Some((percept.telemetry, command));
@@ -131,6 +132,24 @@ impl Station {
     #[must_use]
     pub fn policy(&self) -> Option<&PolicyOrigin> {
         self.policy.as_ref()
+    }
+
+    /// Why the controller cannot fly on, if it cannot: one of somebody's own that gives no answers.
+    #[must_use]
+    pub fn failure(&self) -> Option<&str> {
+        match &self.pilot {
+            Pilot::Own(own) => own.failure(),
+            _ => None,
+        }
+    }
+
+    /// How a controller of somebody's own has answered; `None` for another.
+    #[must_use]
+    pub fn answers(&self) -> Option<&AnswerTally> {
+        match &self.pilot {
+            Pilot::Own(own) => Some(own.answers()),
+            _ => None,
+        }
     }
 
     /// The flight's parameters.

@@ -59,7 +59,7 @@ pub struct Report {
     #[arg(value_name = "scenarios|all|DIR")]
     what: String,
     /// Controllers to fly [default: the paper's four, and those of the sweep files]
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
     controller: Option<Vec<Controller>>,
     /// Override the sweep files' number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
