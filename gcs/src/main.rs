@@ -14,7 +14,9 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, optimise, policies, record, report, sensitivity, tune};
+use crpl_gcs::lab::{
+    bound, check, episodes, flown, optimise, policies, record, report, scenarios, sensitivity, tune,
+};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
@@ -55,6 +57,12 @@ enum GcsCommand {
     Tune(tune::Tune),
     /// Fly a sweep: the paper's metrics against one key of the scenario
     Sweep(sweep::Sweep),
+    /// List, draw, check and begin scenarios
+    Scenario(scenarios::Scenarios),
+    /// Print the numbers of flights on the disk, whoever flew them
+    Score(flown::Score),
+    /// Put flights on the disk side by side: one table, one picture
+    Compare(flown::Compare),
     /// Join the shards of a sweep
     Merge(merge::Merge),
     /// Draw the paper's figures: HTML page, SVG, PNG, CSV and text
@@ -337,6 +345,9 @@ fn main() -> ExitCode {
         GcsCommand::Tune(args) => tune::run(&args),
         GcsCommand::Sweep(args) => sweep::run(&args),
         GcsCommand::Merge(args) => merge::run(&args),
+        GcsCommand::Scenario(args) => scenarios::run(&args),
+        GcsCommand::Score(args) => flown::score(&args),
+        GcsCommand::Compare(args) => flown::compare(&args),
         GcsCommand::Report(args) => report::run(&args),
     })
 }

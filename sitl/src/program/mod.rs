@@ -7,6 +7,7 @@
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
 //! | [`files`] | files that are whole or absent |
+//! | [`flight_log`] | the folder of a flight as the vehicle knows it |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`progress`] | progress bars |
 //! | [`shell`] | sockets and timers: lockstep and real time |
@@ -16,6 +17,7 @@ pub mod camera;
 pub mod cli;
 pub mod files;
 pub mod fleet;
+pub mod flight_log;
 pub mod progress;
 pub mod renamed;
 pub mod shell;
