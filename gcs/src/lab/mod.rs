@@ -8,6 +8,7 @@ pub mod demo;
 pub mod episodes;
 pub mod figures;
 pub mod flown;
+pub mod mavlink_flights;
 pub mod optimise;
 pub mod policies;
 pub mod random;
@@ -29,10 +30,12 @@ use crpl_sitl::sim::metric::FlightScore;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::{Scenario, Sim};
 
+use crate::lab::mavlink_flights::MavlinkFlights;
 use crate::station::Station;
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::crpl::Crpl;
 use crate::station::pilot::own::AnswerTally;
+use crate::station::pilot::own::name::OwnKind;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
 
@@ -60,8 +63,17 @@ pub struct Contender {
     pub controller: Controller,
     scenario: Scenario,
     world: Arc<WorldModel>,
-    pilot: Pilot,
+    flyer: Flyer,
     policy: Option<PolicyOrigin>,
+}
+
+/// What flies.
+#[derive(Debug, Clone)]
+enum Flyer {
+    /// A station of ours.
+    Station(Pilot),
+    /// One of somebody's own, by MAVLink.
+    Mavlink(Arc<MavlinkFlights>),
 }
 
 impl Contender {
@@ -70,8 +82,16 @@ impl Contender {
     /// # Errors
     /// As [`Pilot::load`].
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
-        let (pilot, policy) = Pilot::load(controller, models, scenario)?;
-        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot, policy })
+        let (flyer, policy) = match controller.own().filter(|own| own.kind == OwnKind::Mavlink) {
+            Some(own) => {
+                (Flyer::Mavlink(Arc::new(MavlinkFlights::new(own, models.own, scenario)?)), None)
+            }
+            None => {
+                let (pilot, policy) = Pilot::load(controller, models, scenario)?;
+                (Flyer::Station(pilot), policy)
+            }
+        };
+        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), flyer, policy })
     }
 
     /// `crpl` with policies that are not on disk yet.
@@ -81,11 +101,11 @@ impl Contender {
             controller: Controller::Crpl,
             scenario: scenario.clone(),
             world: world.clone(),
-            pilot: Pilot::Crpl(Crpl::new(
+            flyer: Flyer::Station(Pilot::Crpl(Crpl::new(
                 Arc::new(policies.clone()),
                 world.scale,
                 MotionLimits::of(scenario),
-            )),
+            ))),
             policy: None,
         }
     }
@@ -103,36 +123,37 @@ impl Contender {
     }
 
     /// A whole flight, interval by interval. Equal seeds give equal records.
-    #[must_use]
-    pub fn records(&self, seed: u64) -> Vec<Record> {
-        self.flown(seed).records().to_vec()
+    ///
+    /// # Errors
+    /// A controller of somebody's own that gives no answers.
+    pub fn records(&self, seed: u64) -> Result<Vec<Record>> {
+        let pilot = match &self.flyer {
+            Flyer::Mavlink(flights) => return flights.records(seed),
+            Flyer::Station(pilot) => pilot.clone(),
+        };
+        let mut station = Station::new(self.scenario.clone(), self.world.clone(), pilot);
+        let mut sim = Sim::new(self.scenario.clone(), seed);
+        fly(&mut sim, &mut station, self.scenario.horizon);
+        match station.failure() {
+            Some(why) => bail!("flight of seed {seed}: {why}"),
+            None => Ok(station.into_records()),
+        }
     }
 
     /// A whole flight's score.
     ///
     /// # Errors
-    /// If the scenario's horizon is 0; a controller of somebody's own that gives no answers.
+    /// As [`Contender::records`]; if the scenario's horizon is 0.
     pub fn fly(&self, seed: u64) -> Result<FlightScore> {
-        let station = self.flown(seed);
-        if let Some(why) = station.failure() {
-            bail!("flight of seed {seed}: {why}");
-        }
-        station.score().context("no interval was flown")
+        FlightScore::of(&self.records(seed)?, &self.scenario).context("no interval was flown")
     }
 
     /// How a controller of somebody's own has answered in the flights so far; `None` for another.
     #[must_use]
     pub fn answers(&self) -> Option<AnswerTally> {
-        match &self.pilot {
-            Pilot::Own(own) => Some(own.all_answers()),
+        match &self.flyer {
+            Flyer::Station(Pilot::Own(own)) => Some(own.all_answers()),
             _ => None,
         }
-    }
-
-    fn flown(&self, seed: u64) -> Station {
-        let mut station = Station::new(self.scenario.clone(), self.world.clone(), self.pilot.clone());
-        let mut sim = Sim::new(self.scenario.clone(), seed);
-        fly(&mut sim, &mut station, self.scenario.horizon);
-        station
     }
 }

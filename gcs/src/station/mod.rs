@@ -110,6 +110,12 @@ impl Station {
         &self.records
     }
 
+    /// The lines of a flight that is over.
+    #[must_use]
+    pub fn into_records(self) -> Vec<Record> {
+        self.records
+    }
+
     /// Intervals of which no percept arrived (real time only).
     #[must_use]
     pub fn missed(&self) -> u64 {

@@ -272,7 +272,10 @@ impl Pilot {
             Controller::RccPaper => reactive(Law::RCC_PAPER),
             Controller::UccPaper => reactive(Law::UCC_PAPER),
             Controller::Own(own) if own.kind == OwnKind::Mavlink => {
-                bail!("{controller} flies the vehicle itself: here a station flies it")
+                bail!(
+                    "{controller} flies a vehicle of the lab: gcs episodes, sweep and bound score it; \
+                     `sitl --out DIR` writes down a single flight"
+                )
             }
             Controller::Own(own) => Self::Own(Box::new(Own::new(own, models.own, &models.world, scenario)?)),
         };

@@ -31,7 +31,7 @@ use protocol::{Answer, Hello, HelloAnswer, PerceptLine, PictureFormat, Reset, Se
 /// Intervals on end without a good answer that end a flight.
 pub const GIVES_UP: u32 = 5;
 /// How long a program may take to start: some load a network first.
-const START: Duration = Duration::from_secs(60);
+pub const START: Duration = Duration::from_secs(60);
 /// The longest piece of a line that an error shows, characters.
 const SHOWN: usize = 80;
 
@@ -50,7 +50,9 @@ impl Default for OwnFlags {
 }
 
 impl OwnFlags {
-    fn patience(self) -> Duration {
+    /// How long an answer is waited for.
+    #[must_use]
+    pub fn patience(self) -> Duration {
         Duration::try_from_secs_f64(self.exec_timeout).unwrap_or(Duration::MAX).min(START * 60)
     }
 }
