@@ -40,7 +40,8 @@ impl MavlinkFlights {
     /// # Errors
     /// The controller's name holds no endpoint.
     pub fn new(controller: OwnController, flags: OwnFlags, scenario: &Scenario) -> Result<Self> {
-        let endpoint: Endpoint = controller.rest().parse().map_err(anyhow::Error::msg).context(controller.name())?;
+        let endpoint: Endpoint =
+            controller.rest().parse().map_err(anyhow::Error::msg).context(controller.name())?;
         let (scenario, patience) = (scenario.clone(), flags.patience());
         Ok(Self { controller, endpoint, scenario, patience, flying: Mutex::default() })
     }
@@ -51,7 +52,8 @@ impl MavlinkFlights {
     /// An endpoint that cannot be opened, a station that does not come or falls silent, a signal.
     pub fn records(&self, seed: u64) -> Result<Vec<Record>> {
         let _one = self.flying.lock().unwrap_or_else(PoisonError::into_inner);
-        terminal::block_on(self.fly(seed)).with_context(|| format!("{}: flight of seed {seed}", self.controller.name()))
+        terminal::block_on(self.fly(seed))
+            .with_context(|| format!("{}: flight of seed {seed}", self.controller.name()))
     }
 
     async fn fly(&self, seed: u64) -> Result<Vec<Record>> {

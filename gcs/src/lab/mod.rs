@@ -83,9 +83,7 @@ impl Contender {
     /// As [`Pilot::load`].
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
         let (flyer, policy) = match controller.own().filter(|own| own.kind == OwnKind::Mavlink) {
-            Some(own) => {
-                (Flyer::Mavlink(Arc::new(MavlinkFlights::new(own, models.own, scenario)?)), None)
-            }
+            Some(own) => (Flyer::Mavlink(Arc::new(MavlinkFlights::new(own, models.own, scenario)?)), None),
             None => {
                 let (pilot, policy) = Pilot::load(controller, models, scenario)?;
                 (Flyer::Station(pilot), policy)

@@ -98,7 +98,14 @@ impl Models {
             None => WorldModel::embedded()?,
         };
         let laws = Laws::load::<&Path>(&[])?;
-        Ok(Self { world: Arc::new(world), policy, mismatch: MismatchRule::Refuse, cache: None, laws, own: OwnFlags::default() })
+        Ok(Self {
+            world: Arc::new(world),
+            policy,
+            mismatch: MismatchRule::Refuse,
+            cache: None,
+            laws,
+            own: OwnFlags::default(),
+        })
     }
 
     /// The policies for `scenario`: the file that was given, or the first of the shipped ones and of the

@@ -276,7 +276,8 @@ pub(super) fn key_at(text: &str, span: Option<std::ops::Range<usize>>) -> Option
 
 /// Whether the text is a file of `gcs sweep`.
 pub(super) fn is_sweep(text: &str) -> bool {
-    toml::from_str::<toml::Table>(text).is_ok_and(|table| table.contains_key("axis") && table.contains_key("points"))
+    toml::from_str::<toml::Table>(text)
+        .is_ok_and(|table| table.contains_key("axis") && table.contains_key("points"))
 }
 
 /// The former spelling that a scenario's text uses.

@@ -66,7 +66,8 @@ impl Scenario {
         for assignment in assignments {
             put(&mut root, assignment).with_context(|| format!("--set {assignment}"))?;
         }
-        let is_named = assignments.iter().any(|a| a.split_once('=').is_some_and(|(key, _)| key.trim() == "name"));
+        let is_named =
+            assignments.iter().any(|a| a.split_once('=').is_some_and(|(key, _)| key.trim() == "name"));
         let mut scenario = Self::from_toml(&toml::to_string(&root)?)
             .with_context(|| format!("--set {}", assignments.join(" --set ")))?;
         if !is_named {
@@ -125,7 +126,10 @@ mod tests {
         assert_eq!((scenario.radio.b_dt, scenario.radio.packet_bits), (4.0, demo.radio.packet_bits));
         assert!(scenario.name.starts_with(&demo.name) && scenario.name.contains("goal[1]=0.3"));
         assert_eq!(with(&["name=mine"]).unwrap().name, "mine");
-        assert_eq!(with(&["failsafe.setpoint_action=brake"]).unwrap().failsafe.setpoint_action, crate::scenario::Action::Brake);
+        assert_eq!(
+            with(&["failsafe.setpoint_action=brake"]).unwrap().failsafe.setpoint_action,
+            crate::scenario::Action::Brake
+        );
         assert_eq!(with(&[]).unwrap(), demo);
     }
 

@@ -83,7 +83,9 @@ pub fn compare(args: &Compare) -> Result<()> {
         bail!("one flight alone: gcs score prints its numbers");
     };
     print(&flights, args.score.json)?;
-    if let Some(other) = others.iter().find(|other| !is_same_world(&first.flight.scenario, &other.flight.scenario)) {
+    if let Some(other) =
+        others.iter().find(|other| !is_same_world(&first.flight.scenario, &other.flight.scenario))
+    {
         bail!(
             "no picture: {} flew in {:?} and {} in {:?}",
             first.flight.path.display(),

@@ -40,7 +40,10 @@ pub fn flight(path: &Path, scenario: Option<&Scenario>) -> Result<FlownFlight> {
     let scenario = match scenario {
         Some(scenario) => scenario.clone(),
         None if config.exists() => Scenario::load(&config)?,
-        None => bail!("{}: in which scenario was it? There is no {CONFIG} beside it: give --scenario", path.display()),
+        None => bail!(
+            "{}: in which scenario was it? There is no {CONFIG} beside it: give --scenario",
+            path.display()
+        ),
     };
     let bytes = std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
     let is_log = file.extension().is_some_and(|extension| extension == "tlog");
@@ -61,9 +64,7 @@ fn manifest(path: &Path) -> (String, Option<u64>) {
 fn of_lines(bytes: &[u8]) -> Result<Vec<Record>> {
     let text = std::str::from_utf8(bytes)?;
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    lines
-        .map(|(n, line)| serde_json::from_str(line).with_context(|| format!("line {}", n + 1)))
-        .collect()
+    lines.map(|(n, line)| serde_json::from_str(line).with_context(|| format!("line {}", n + 1))).collect()
 }
 
 /// The intervals between the reports of the first vehicle in a log. A log does not say which command was lost: what

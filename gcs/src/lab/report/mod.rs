@@ -133,9 +133,12 @@ fn write(dir: &Path, name: &str, text: &str) -> Result<()> {
 fn open(dir: &Path) -> Result<Finished> {
     if dir.join(flight_log::RECORDS).exists() {
         let dir = dir.display();
-        bail!("{dir} holds one flight, not a sweep: `gcs score {dir}` prints its numbers, {dir}/path.svg shows it");
+        bail!(
+            "{dir} holds one flight, not a sweep: `gcs score {dir}` prints its numbers, {dir}/path.svg shows it"
+        );
     }
-    if std::fs::read_dir(dir).is_ok_and(|all| all.flatten().any(|one| one.path().join(flight_log::RECORDS).exists()))
+    if std::fs::read_dir(dir)
+        .is_ok_and(|all| all.flatten().any(|one| one.path().join(flight_log::RECORDS).exists()))
     {
         let dir = dir.display();
         bail!("{dir} holds flights, not a sweep: `gcs compare {dir}/*/` puts them side by side");

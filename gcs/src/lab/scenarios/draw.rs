@@ -9,7 +9,7 @@ use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-use super::field::{RadioField, Reach};
+use super::field::{PowerReach, RadioField};
 
 /// Characters along x and y: a character is twice as high as wide.
 const COLUMNS: usize = 72;
@@ -26,9 +26,8 @@ const KEY: &str = "S start  G goal  B base station  # obstacle\n\
 #[must_use]
 pub fn text(scenario: &Scenario) -> String {
     let field = RadioField::of(scenario);
-    let mut rows: Vec<Vec<char>> = (0..ROWS)
-        .map(|row| (0..COLUMNS).map(|column| glyph(&field, place(column, row))).collect())
-        .collect();
+    let mut rows: Vec<Vec<char>> =
+        (0..ROWS).map(|row| (0..COLUMNS).map(|column| glyph(&field, place(column, row))).collect()).collect();
     for (at, mark) in [(scenario.channel.base_station, 'B'), (scenario.goal, 'G'), (scenario.start, 'S')] {
         let (column, row) = cell(at);
         rows[row][column] = mark;
@@ -56,10 +55,10 @@ fn cell(place: Vector2<f64>) -> (usize, usize) {
 fn glyph(field: &RadioField<'_>, at: Vector2<f64>) -> char {
     match field.reach(at) {
         _ if field.obstacle_at(at).is_some() => '#',
-        Reach::Nothing => '=',
-        Reach::High => '-',
-        Reach::Low if field.is_shadow(at) => '.',
-        Reach::Low => ' ',
+        PowerReach::Nothing => '=',
+        PowerReach::High => '-',
+        PowerReach::Low if field.is_shadow(at) => '.',
+        PowerReach::Low => ' ',
     }
 }
 
@@ -75,9 +74,7 @@ impl WorldPicture<'_> {
     /// One rectangle for the neighbours of one kind in a row.
     fn cells(&self, kind: impl Fn(Vector2<f64>) -> bool, colour: RGBColor) -> Vec<Rectangle<(f64, f64)>> {
         let side = 1.0 / CELLS as f64;
-        let is = |column: usize, row: usize| {
-            kind(Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * side)
-        };
+        let is = |column: usize, row: usize| kind(Vector2::new(column as f64 + 0.5, row as f64 + 0.5) * side);
         let mut found = Vec::new();
         for row in 0..CELLS {
             let mut begin = 0;
@@ -135,8 +132,8 @@ impl WorldPicture<'_> {
         let field = RadioField::of(scenario);
         let layers: [(&dyn Fn(Vector2<f64>) -> bool, RGBColor, &str); 3] = [
             (&|at| field.is_shadow(at), Self::SHADOW, "obstacle's shadow"),
-            (&|at| field.reach(at) == Reach::High, Self::HIGH, "low power fails"),
-            (&|at| field.reach(at) == Reach::Nothing, Self::NOTHING, "high power fails, too"),
+            (&|at| field.reach(at) == PowerReach::High, Self::HIGH, "low power fails"),
+            (&|at| field.reach(at) == PowerReach::Nothing, Self::NOTHING, "high power fails, too"),
         ];
         for (kind, colour, name) in layers {
             let cells = self.cells(kind, colour);
@@ -145,9 +142,16 @@ impl WorldPicture<'_> {
                 chart.draw_series(cells).map_err(failed)?.label(name).legend(key);
             }
         }
-        chart.configure_mesh().disable_mesh().x_desc("x (east)").y_desc("y (north)").draw().map_err(failed)?;
+        chart
+            .configure_mesh()
+            .disable_mesh()
+            .x_desc("x (east)")
+            .y_desc("y (north)")
+            .draw()
+            .map_err(failed)?;
         let bodies = field.obstacles.each(scenario);
-        let bodies = bodies.map(|(centre, o)| Polygon::new(disc(centre, o.radius), RGBColor(70, 90, 140).filled()));
+        let bodies =
+            bodies.map(|(centre, o)| Polygon::new(disc(centre, o.radius), RGBColor(70, 90, 140).filled()));
         chart.draw_series(bodies).map_err(failed)?;
         let line = [scenario.start, scenario.goal].map(|r| (r.x, r.y));
         chart.draw_series([PathElement::new(line, BLACK.mix(0.5).stroke_width(1))]).map_err(failed)?;
@@ -170,7 +174,7 @@ impl WorldPicture<'_> {
     ///
     /// # Errors
     /// If the backend fails.
-    pub fn finish<B: DrawingBackend>(chart: &mut SquareChart<'_, B>) -> Result<(), String> {
+    pub fn finish<'b, B: DrawingBackend + 'b>(chart: &mut SquareChart<'b, B>) -> Result<(), String> {
         chart
             .configure_series_labels()
             .position(SeriesLabelPosition::UpperLeft)

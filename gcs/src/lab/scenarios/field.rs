@@ -15,7 +15,7 @@ const SHADOW: f64 = 0.5;
 
 /// The least power that carries a packet to a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Reach {
+pub enum PowerReach {
     /// Low power does.
     Low,
     /// High power does.
@@ -61,15 +61,15 @@ impl<'a> RadioField<'a> {
 
     /// The least power that carries a packet to `place`.
     #[must_use]
-    pub fn reach(&self, place: Vector2<f64>) -> Reach {
+    pub fn reach(&self, place: Vector2<f64>) -> PowerReach {
         let fails = |power: TxPower| {
             let snr = channel::snr(self.gain(place), power.level(), &self.scenario.channel);
             channel::outage(self.scenario.radio.b_dt, snr, self.scenario.radio.packet_bits)
         };
         match () {
-            () if self.scenario.radio.rule == Rule::Ideal || !fails(TxPower::Low) => Reach::Low,
-            () if !fails(TxPower::High) => Reach::High,
-            () => Reach::Nothing,
+            () if self.scenario.radio.rule == Rule::Ideal || !fails(TxPower::Low) => PowerReach::Low,
+            () if !fails(TxPower::High) => PowerReach::High,
+            () => PowerReach::Nothing,
         }
     }
 
@@ -100,14 +100,16 @@ impl<'a> RadioField<'a> {
         };
         let weakest = points.iter().map(|place| self.gain(*place)).fold(f64::INFINITY, f64::min);
         let needed = channel::outage_snr(radio.b_dt, radio.packet_bits).0;
-        let clearance =
-            points.iter().map(|place| self.obstacles.clearance(*place, self.scenario)).fold(f64::INFINITY, f64::min);
+        let clearance = points
+            .iter()
+            .map(|place| self.obstacles.clearance(*place, self.scenario))
+            .fold(f64::INFINITY, f64::min);
         StraightLine {
             length: (goal - start).norm(),
             least_power: needed * radio_channel.noise_power / weakest,
-            low: share(&|place| self.reach(place) == Reach::Low),
-            high: share(&|place| self.reach(place) == Reach::High),
-            nothing: share(&|place| self.reach(place) == Reach::Nothing),
+            low: share(&|place| self.reach(place) == PowerReach::Low),
+            high: share(&|place| self.reach(place) == PowerReach::High),
+            nothing: share(&|place| self.reach(place) == PowerReach::Nothing),
             shadow: share(&|place| self.is_shadow(place)),
             clearance: clearance.is_finite().then_some(clearance),
         }
@@ -125,7 +127,8 @@ mod tests {
         assert!((line.low + line.high + line.nothing - 1.0).abs() < 1e-9);
         // With that power in place of low power, every packet on the line gets through; with less, one does not.
         for (factor, all) in [(1.001, true), (0.999, false)] {
-            scenario.channel.noise_power = Scenario::named("demo").unwrap().channel.noise_power / (line.least_power * factor);
+            scenario.channel.noise_power =
+                Scenario::named("demo").unwrap().channel.noise_power / (line.least_power * factor);
             let again = RadioField::of(&scenario).straight_line();
             assert_eq!(again.low == 1.0, all, "{factor}: {again:?}");
         }
@@ -135,7 +138,7 @@ mod tests {
     fn an_ideal_radio_reaches_everywhere() {
         let scenario = Scenario::named("1-ideal").unwrap();
         let field = RadioField::of(&scenario);
-        assert_eq!(field.reach(Vector2::new(0.02, 0.02)), Reach::Low);
+        assert_eq!(field.reach(Vector2::new(0.02, 0.02)), PowerReach::Low);
         assert_eq!(field.straight_line().low, 1.0);
     }
 }

@@ -43,7 +43,7 @@ use crate::station::models::{ChosenPolicies, Models, PolicyOrigin, PolicyUse};
 use crate::station::seen::{Heard, MotionLimits, RadioConstants};
 use own::Own;
 use own::name::{OwnController, OwnKind, OwnNameError};
-use own::protocol::Seen;
+use own::protocol::OwnSight;
 use reactive::{Law, Present, Reactive, Task};
 
 /// The controllers by name.
@@ -295,7 +295,7 @@ impl Pilot {
             Self::CrplExactLatents(crpl) => crpl.decide(&present()),
             Self::Apc(apc) => apc.decide(Heard::from(telemetry).tick, &present()),
             Self::ApcPaper(apc) => apc.decide(&present()),
-            Self::Own(own) => own.decide(&Seen {
+            Self::Own(own) => own.decide(&OwnSight {
                 heard: Heard::from(telemetry),
                 latents: belief.latents(),
                 frame: &percept.frame,

@@ -26,7 +26,7 @@ use serde::Serialize;
 use crate::station::seen::MotionLimits;
 use name::{OwnController, OwnKind};
 use process::{Process, Silence};
-use protocol::{Answer, Hello, HelloAnswer, PerceptLine, PictureFormat, Reset, Seen, VERSION};
+use protocol::{Answer, Hello, HelloAnswer, OwnSight, PerceptLine, PictureFormat, Reset, VERSION};
 
 /// Intervals on end without a good answer that end a flight.
 pub const GIVES_UP: u32 = 5;
@@ -218,7 +218,7 @@ impl Own {
     }
 
     /// Motion and power for the interval that begins; those of the interval before where the program gives none.
-    pub fn decide(&mut self, seen: &Seen<'_>) -> (Motion, TxPower) {
+    pub fn decide(&mut self, seen: &OwnSight<'_>) -> (Motion, TxPower) {
         if self.flight.failure.is_none() {
             self.flight.tally.asked += 1;
             match self.ask(seen) {
@@ -233,7 +233,7 @@ impl Own {
         (motion.unwrap_or(Motion::Coast), power)
     }
 
-    fn ask(&mut self, seen: &Seen<'_>) -> Result<(Motion, TxPower), NoAnswer> {
+    fn ask(&mut self, seen: &OwnSight<'_>) -> Result<(Motion, TxPower), NoAnswer> {
         let Program { patience, world, scale, limits, .. } = &*self.program;
         let process = self.flight.process.get_mut().unwrap_or_else(PoisonError::into_inner);
         let greeted = match process.as_mut() {
@@ -249,8 +249,9 @@ impl Own {
                 process.insert(greeted)
             }
         };
-        let action =
-            |held: crpl_sitl::radio::message::Held| scale.paper_from_ned_acceleration(held.accel) / limits.a_max;
+        let action = |held: crpl_sitl::radio::message::Held| {
+            scale.paper_from_ned_acceleration(held.accel) / limits.a_max
+        };
         greeted.process.send(json(&PerceptLine::of(seen, world, greeted.picture, action)));
         let tick = seen.heard.tick.0;
         let answer = greeted.process.receive(*patience, |line| match Answer::parse(line) {

@@ -3,7 +3,10 @@
 //! Two threads stand between the pipes and the flight, so neither a program that says nothing nor one that reads
 //! nothing can hold it up.
 
-#![expect(clippy::disallowed_methods, reason = "a shell: a program of somebody else may not hold up a flight")]
+#![expect(
+    clippy::disallowed_methods,
+    reason = "a shell: a program of somebody else may not hold up a flight"
+)]
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};

@@ -172,7 +172,7 @@ struct StateLine {
 
 /// What is put into a line: all that [`PerceptLine`] is made of.
 #[derive(Debug)]
-pub struct Seen<'a> {
+pub struct OwnSight<'a> {
     /// What was heard of the vehicle.
     pub heard: Heard,
     /// What the encoder makes of the frames.
@@ -187,12 +187,12 @@ impl PerceptLine {
     /// The line of an interval. `action` gives a held command's normalised acceleration.
     #[must_use]
     pub fn of(
-        seen: &Seen<'_>,
+        seen: &OwnSight<'_>,
         world: &WorldModel,
         picture: PictureFormat,
         action: impl Fn(Held) -> Vector2<f64>,
     ) -> Self {
-        let Seen { heard, latents, frame, truth } = seen;
+        let OwnSight { heard, latents, frame, truth } = seen;
         let decoded = |y: [f32; 2]| world.probe.c.apply(Vector2::new(y[0].into(), y[1].into()));
         let obstacle = |y: &[f32; 2]| world.probe.u.apply(Vector2::new(y[0].into(), y[1].into()));
         let position = decoded(latents.y_c);
@@ -209,9 +209,7 @@ impl PerceptLine {
                 obstacles: latents.y_u.iter().map(obstacle).collect(),
             },
             held: heard.held.map(|held| HeldLine { tick: held.tick, action: action(held) }),
-            link: heard
-                .link
-                .map(|LinkReport { snr_db, power, outage }| LinkLine { snr_db, power, outage }),
+            link: heard.link.map(|LinkReport { snr_db, power, outage }| LinkLine { snr_db, power, outage }),
             picture: encoded(frame, heard.tick, picture),
             state: truth.as_ref().map(|now| StateLine {
                 position: now.r,
@@ -261,7 +259,8 @@ impl Answer {
     /// # Errors
     /// It is no answer.
     pub fn parse(line: &str) -> Result<Self, AnswerError> {
-        let answer: Self = serde_json::from_str(line).map_err(|error| AnswerError::Json(error.to_string()))?;
+        let answer: Self =
+            serde_json::from_str(line).map_err(|error| AnswerError::Json(error.to_string()))?;
         if !answer.wish.iter().all(|part| part.is_finite()) {
             return Err(AnswerError::Wish(answer.wish));
         }
@@ -293,10 +292,7 @@ mod tests {
         assert!(error("hello").contains("expected value"));
         assert!(error(r#"{"tick":0,"wish":[1,0]}"#).contains("missing field `power`"));
         assert!(error(r#"{"tick":0,"wish":[1,0],"power":1,"x":2}"#).contains("unknown field `x`"));
-        assert_eq!(
-            error(r#"{"tick":0,"wish":[1,0],"power":2}"#),
-            "transmit power 2 is neither 1 nor 4"
-        );
+        assert_eq!(error(r#"{"tick":0,"wish":[1,0],"power":2}"#), "transmit power 2 is neither 1 nor 4");
         assert!(Answer::parse(r#"{"tick":0,"wish":[1e999,0],"power":1}"#).is_err());
     }
 }
