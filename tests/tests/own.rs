@@ -186,7 +186,7 @@ fn what_the_vehicle_writes_down_is_what_the_station_does() {
     let scored = gcs(&["score", &there, &here, &log, "--json"]).good().unwrap();
     let scored: Value = serde_json::from_str(&scored).unwrap();
     for flight in scored["flights"].as_array().unwrap() {
-        for key in ["d_f", "t_out", "e_comm", "p_coll"] {
+        for key in ["d_f", "t_out", "e_comm", "p_coll_max"] {
             let (got, want) = (flight["score"][key].as_f64(), summary["flights"][0][key].as_f64());
             assert!(got.is_some() && got == want, "{key}: {got:?} {want:?} {flight}");
         }
