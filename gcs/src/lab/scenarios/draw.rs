@@ -98,6 +98,9 @@ fn disc(centre: Vector2<f64>, radius: f64) -> Vec<(f64, f64)> {
     points.map(|angle| (centre.x + radius * angle.cos(), centre.y + radius * angle.sin())).collect()
 }
 
+/// Tells whether a place is of a kind.
+type PlaceTest<'a> = &'a dyn Fn(Vector2<f64>) -> bool;
+
 /// A chart of the unit square.
 pub type SquareChart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
@@ -130,7 +133,7 @@ impl WorldPicture<'_> {
             .build_cartesian_2d(0.0..1.0, 0.0..1.0)
             .map_err(failed)?;
         let field = RadioField::of(scenario);
-        let layers: [(&dyn Fn(Vector2<f64>) -> bool, RGBColor, &str); 3] = [
+        let layers: [(PlaceTest<'_>, RGBColor, &str); 3] = [
             (&|at| field.is_shadow(at), Self::SHADOW, "obstacle's shadow"),
             (&|at| field.reach(at) == PowerReach::High, Self::HIGH, "low power fails"),
             (&|at| field.reach(at) == PowerReach::Nothing, Self::NOTHING, "high power fails, too"),
