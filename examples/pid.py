@@ -13,7 +13,7 @@ import sys
 
 
 class Pid:
-    """A PID on the way to the goal, pushed aside by obstacles, with power that follows the radio."""
+    """A PID on the way to the goal, round obstacles, with power that follows the radio."""
 
     def __init__(self, hello, gains):
         self.hello, self.gains = hello, gains
@@ -24,24 +24,29 @@ class Pid:
 
     def decide(self, percept):
         kp, ki, kd = self.gains
-        belief, goal = percept["belief"], self.hello["goal"]
+        belief = percept["belief"]
         place, speed = belief["position"], belief["velocity"]
+        aim = self.aim(place, belief["obstacles"])
         wish = []
         for axis in range(2):
-            # A far goal asks for no more than a near one: the UAV is to come to rest in it.
-            error = max(-0.25, min(0.25, goal[axis] - place[axis]))
+            # A far aim asks for no more than a near one: the UAV is to come to rest in the goal.
+            error = max(-0.25, min(0.25, aim[axis] - place[axis]))
             self.integral[axis] = max(-1.0, min(1.0, self.integral[axis] + error))
             wish.append(kp * error + ki * self.integral[axis] - kd * speed[axis])
-        for obstacle, radius in zip(belief["obstacles"], self.hello["obstacle_radii"]):
-            self.keep_off(wish, place, obstacle, radius)
         # Physical accelerations become parts of a_max; gcs flies the nearest of the five motions.
         return [part / self.hello["a_max"] for part in wish], self.power(percept["link"])
 
-    def keep_off(self, wish, place, obstacle, radius):
-        """Pushes to the south of an obstacle: there is the base station's side of it."""
-        near = radius + self.hello["uav_radius"] + 0.12
-        if abs(place[0] - obstacle[0]) < near and place[1] > obstacle[1] - near:
-            wish[1] -= 0.004
+    def aim(self, place, obstacles):
+        """The goal, or a place south of an obstacle that is in the way."""
+        goal = self.hello["goal"]
+        for obstacle, radius in zip(obstacles, self.hello["obstacle_radii"]):
+            near = radius + self.hello["uav_radius"]
+            ahead = (obstacle[0] + near - place[0]) * (goal[0] - place[0]) > 0
+            between = min(place[1], goal[1]) - near < obstacle[1] < max(place[1], goal[1]) + near
+            if ahead and between and abs(goal[0] - place[0]) > abs(goal[0] - obstacle[0]) - near:
+                # Beyond it, so that it does not come to rest there.
+                return [obstacle[0] + near + 0.1, obstacle[1] - near - 0.14]
+        return goal
 
     def power(self, link):
         """High power while the last packet was lost, or nearly."""
@@ -54,7 +59,7 @@ class Pid:
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gains", type=float, nargs=3, default=[0.02, 0.0, 0.35], metavar=("KP", "KI", "KD"))
+    parser.add_argument("--gains", type=float, nargs=3, default=[0.03, 0.0, 0.4], metavar=("KP", "KI", "KD"))
     gains = parser.parse_args().gains
     pid = None
     for line in sys.stdin:

@@ -49,7 +49,7 @@ fn the_pid_of_the_examples_is_scored_beside_crpl_on_the_same_gusts() {
         serde_json::json!({ "asked": 300, "timed_out": 0, "junk": 0, "crashed": 0 })
     );
     assert!(rows[1]["ratio_to_crpl"]["d_f"]["mean"].as_f64().unwrap() > 0.0);
-    assert_eq!(rows[1]["reached"], 1.0);
+    assert_eq!(rows[1]["collisions"]["mean"], 0.0);
 }
 
 #[test]
