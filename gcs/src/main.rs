@@ -15,7 +15,9 @@ use crpl_gcs::lab::demo::{self, DemoFlight};
 use crpl_gcs::lab::run_folder::{self, RunFolder, RunManifest};
 use crpl_gcs::lab::summary::{self, Summary};
 use crpl_gcs::lab::sweep::{self, merge};
-use crpl_gcs::lab::{bound, check, episodes, fleet, optimise, policies, record, report, sensitivity, tune};
+use crpl_gcs::lab::{
+    bound, check, episodes, fleet, flown, optimise, policies, record, report, scenarios, sensitivity, tune,
+};
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
@@ -59,6 +61,12 @@ enum GcsCommand {
     Tune(tune::Tune),
     /// Fly a sweep: the paper's metrics against one key of the scenario
     Sweep(sweep::Sweep),
+    /// List, draw, check and begin scenarios
+    Scenario(scenarios::Scenarios),
+    /// Print the numbers of flights on the disk, whoever flew them
+    Score(flown::Score),
+    /// Put flights on the disk side by side: one table, one picture
+    Compare(flown::Compare),
     /// Join the shards of a sweep
     Merge(merge::Merge),
     /// Draw the paper's figures: HTML page, SVG, PNG, CSV and text
@@ -94,7 +102,7 @@ struct Demo {
     #[command(flatten)]
     models: ModelFiles,
     /// Controllers to fly, in this order
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
     controller: Vec<Controller>,
     /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -177,7 +185,7 @@ struct Fly {
     #[command(flatten)]
     identity: Identity,
     /// Controller to fly
-    #[arg(long, value_enum, default_value = "crpl")]
+    #[arg(long, default_value = "crpl")]
     controller: Controller,
     /// Stop after N control intervals [default: the scenario's horizon]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -250,7 +258,7 @@ async fn demo(args: Demo) -> Result<()> {
             live: page.as_ref().map(WatchPage::feed),
             forward: &args.forward,
         };
-        let dir = out.join(controller.to_string());
+        let dir = out.join(controller.file_name());
         let landed = demo::fly(&models, &flight, &dir, args.overwrite).await?;
         flights.extend(landed.summary);
         exit = landed.exit;
@@ -398,6 +406,9 @@ fn main() -> ExitCode {
         GcsCommand::Tune(args) => tune::run(&args),
         GcsCommand::Sweep(args) => sweep::run(&args),
         GcsCommand::Merge(args) => merge::run(&args),
+        GcsCommand::Scenario(args) => scenarios::run(&args),
+        GcsCommand::Score(args) => flown::score(&args),
+        GcsCommand::Compare(args) => flown::compare(&args),
         GcsCommand::Report(args) => report::run(&args),
     })
 }

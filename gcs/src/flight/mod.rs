@@ -12,6 +12,7 @@
 //! |---|---|
 //! | after its last tick, when its crew is done, or in a fall | as its last command has it |
 //! | by SIGINT, SIGTERM or SIGHUP | in mode BRAKE, which is asked for four times |
+//! | because its controller, a program, gives no answers | the same |
 //! | because an operator changed its mode | to the operator; a page that may steer can give it back, and the flight goes on |
 //! | because another station's setpoint is flown | to the other station: no more setpoints from here |
 //! | because it has booted anew | as it has booted: no more setpoints from here |
@@ -172,6 +173,12 @@ pub trait Crew {
     fn is_done(&self) -> bool {
         false
     }
+
+    /// Why the crew cannot fly on, if it cannot: the command to the newest percept is not sent, and the vehicle
+    /// brakes.
+    fn failure(&self) -> Option<String> {
+        None
+    }
 }
 
 impl<F: FnMut(&Percept) -> Command> Crew for F {
@@ -198,6 +205,8 @@ pub enum FlightEnd {
     Rebooted,
     /// The vehicle flies a setpoint, or transmits at a power, that this station has not sent.
     ForeignSetpoint,
+    /// The controller, a program of somebody's own, gives no answers.
+    NoController,
 }
 
 impl FlightEnd {
@@ -212,6 +221,7 @@ impl FlightEnd {
             Self::LinkLost => "link lost",
             Self::Rebooted => "rebooted",
             Self::ForeignSetpoint => "foreign setpoint",
+            Self::NoController => "no controller",
         }
     }
 
@@ -226,6 +236,7 @@ impl FlightEnd {
             Self::Rebooted => Some(5),
             Self::ForeignSetpoint => Some(6),
             Self::Failsafe => Some(8),
+            Self::NoController => Some(9),
         }
     }
 }
@@ -357,6 +368,9 @@ pub async fn fly_on(
                         }
                         let now = shell.remote.heard().unwrap_or(percept.telemetry.tick);
                         let command = crew.command_at(&percept, now);
+                        if let Some(why) = crew.failure() {
+                            return Ok(shell.abandoned(percept, &why).await);
+                        }
                         if crew.is_done() {
                             return Ok(shell.over(percept).await);
                         }
@@ -567,6 +581,13 @@ impl<'a> FlightShell<'a> {
         self.last_words(|remote| remote.acknowledgement(tick)).await;
         self.flight.last = Some(percept);
         self.end(FlightEnd::Over, "").await
+    }
+
+    /// Nobody decides any longer: the vehicle brakes.
+    async fn abandoned(mut self, percept: Percept, why: &str) -> Flight {
+        self.last_words(Remote::brake).await;
+        self.flight.last = Some(percept);
+        self.end(FlightEnd::NoController, &format!("{why}: the vehicle was asked to brake")).await
     }
 
     /// The program is asked to end in flight: the vehicle brakes.

@@ -27,11 +27,11 @@ pub async fn meet(
 ) -> Result<(Session, Scenario)> {
     // What is wrong with the file is said before anybody is asked.
     let stated = scenario.map(|name| camera.scenario(name)).transpose()?;
-    camera.put(&mut Scenario::default())?;
+    camera.film(&mut Scenario::default())?;
     tracing::info!("connecting to {connect}");
     let mut session = options.find(connect).await?;
     let mut scenario = agree(&mut session, stated).await?;
-    if camera.camera.is_some() {
+    if camera.changes() {
         camera.put(&mut scenario)?;
         scenario = agree(&mut session, Some(scenario)).await?;
     }

@@ -36,7 +36,7 @@ pub struct Bound {
     #[command(flatten)]
     camera: CameraFlag,
     /// Controllers beside APC
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
     /// Flights per controller
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(2..))]

@@ -118,8 +118,8 @@ impl ConstraintCheck {
         let ends: Vec<End> = (0..flights as u64)
             .into_par_iter()
             .filter(|_| stop.is_none_or(|stop| stop.get().is_none()))
-            .map(|n| End::of(&contender.records(first_seed + n), scenario))
-            .collect();
+            .map(|n| Ok(End::of(&contender.records(first_seed + n)?, scenario)))
+            .collect::<Result<_>>()?;
         if let Some(signal) = stop.and_then(StopSignal::get) {
             bail!(signal.exit(&format!("the check has flown {} of {flights}", ends.len())));
         }

@@ -110,6 +110,10 @@ impl Crew for LoggedStation {
         Ok(Some(tlog))
     }
 
+    fn failure(&self) -> Option<String> {
+        self.station.failure().map(ToOwned::to_owned)
+    }
+
     fn sent(&mut self) {
         self.folder.record(self.station.records());
         if let (Some(watcher), Some((percept, command))) = (&mut self.watcher, self.decided.take()) {

@@ -122,7 +122,7 @@ struct ScenarioFile(PathBuf);
 
 impl ScenarioFile {
     fn write(scenario: &Scenario, controller: Controller) -> Result<Self> {
-        let name = format!("crpl-demo-{}-{controller}.toml", std::process::id());
+        let name = format!("crpl-demo-{}-{}.toml", std::process::id(), controller.file_name());
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, toml::to_string(scenario)?)
             .with_context(|| format!("writing {}", path.display()))?;

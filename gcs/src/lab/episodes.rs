@@ -16,6 +16,7 @@ use crate::lab::sweep::table::ratio_cell;
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, PolicyOrigin};
 use crate::station::pilot::Controller;
+use crate::station::pilot::own::AnswerTally;
 use crpl_model::numeric::statistics::{Interval, Mean, Resamples, wilson};
 
 /// Flags of `gcs episodes`.
@@ -34,7 +35,7 @@ pub struct Episodes {
     #[arg(long, value_name = "N", default_value_t = 0)]
     first_seed: u64,
     /// Controllers to fly
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
     #[command(flatten)]
     air: AirFlags,
@@ -75,6 +76,9 @@ pub struct EpisodesRow {
     /// Where the controller's policies come from.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyOrigin>,
+    /// How a controller of somebody's own has answered; `None` for another.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub answers: Option<AnswerTally>,
 }
 
 /// Runs the subcommand.
@@ -111,6 +115,7 @@ pub fn run(args: &Episodes) -> Result<()> {
         }
         let row = EpisodesRow {
             policy: contender.policy().cloned(),
+            answers: contender.answers(),
             ratio_to_crpl: crpl.as_deref().and_then(|crpl| ratios(&flights, crpl)),
             ..row(*controller, &scenario, args.first_seed, &flights)
         };
@@ -156,6 +161,7 @@ fn row(controller: Controller, scenario: &Scenario, first_seed: u64, flights: &[
         below: share(FlightOutcome::Below),
         ratio_to_crpl: None,
         policy: None,
+        answers: None,
     }
 }
 
@@ -213,6 +219,9 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
         let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };
         crpl_sitl::outln!("  {does} a policy of another world: {mismatch}");
+    }
+    if let Some(told) = row.answers.as_ref().and_then(AnswerTally::told) {
+        crpl_sitl::outln!("  {told}");
     }
     Ok(())
 }

@@ -9,12 +9,15 @@ pub mod demo;
 pub mod episodes;
 pub mod figures;
 pub mod fleet;
+pub mod flown;
+pub mod mavlink_flights;
 pub mod optimise;
 pub mod policies;
 pub mod random;
 pub mod record;
 pub mod report;
 pub mod run_folder;
+pub mod scenarios;
 pub mod sensitivity;
 pub mod summary;
 pub mod sweep;
@@ -22,7 +25,7 @@ pub mod tune;
 
 use std::sync::Arc;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::sim::metric::FlightScore;
@@ -30,9 +33,12 @@ use crpl_sitl::sim::record::Record;
 use crpl_sitl::{Scenario, Sim};
 
 use crate::lab::aired::{AirPlan, AirTally};
+use crate::lab::mavlink_flights::MavlinkFlights;
 use crate::station::Station;
 use crate::station::models::{Models, PolicyOrigin};
 use crate::station::pilot::crpl::Crpl;
+use crate::station::pilot::own::AnswerTally;
+use crate::station::pilot::own::name::OwnKind;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::MotionLimits;
 
@@ -44,6 +50,9 @@ pub fn fly(sim: &mut Sim, station: &mut Station, ticks: u64) {
             break;
         }
         let command = station.handle(&sim.percept());
+        if station.failure().is_some() {
+            break;
+        }
         sim.handle(command);
         sim.advance();
     }
@@ -57,8 +66,17 @@ pub struct Contender {
     pub controller: Controller,
     scenario: Scenario,
     world: Arc<WorldModel>,
-    pilot: Pilot,
+    flyer: Flyer,
     policy: Option<PolicyOrigin>,
+}
+
+/// What flies.
+#[derive(Debug, Clone)]
+enum Flyer {
+    /// A station of ours.
+    Station(Pilot),
+    /// One of somebody's own, by MAVLink.
+    Mavlink(Arc<MavlinkFlights>),
 }
 
 impl Contender {
@@ -67,8 +85,14 @@ impl Contender {
     /// # Errors
     /// As [`Pilot::load`].
     pub fn new(models: &Models, controller: Controller, scenario: &Scenario) -> Result<Self> {
-        let (pilot, policy) = Pilot::load(controller, models, scenario)?;
-        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), pilot, policy })
+        let (flyer, policy) = match controller.own().filter(|own| own.kind == OwnKind::Mavlink) {
+            Some(own) => (Flyer::Mavlink(Arc::new(MavlinkFlights::new(own, models.own, scenario)?)), None),
+            None => {
+                let (pilot, policy) = Pilot::load(controller, models, scenario)?;
+                (Flyer::Station(pilot), policy)
+            }
+        };
+        Ok(Self { controller, scenario: scenario.clone(), world: models.world.clone(), flyer, policy })
     }
 
     /// `crpl` with policies that are not on disk yet.
@@ -78,11 +102,11 @@ impl Contender {
             controller: Controller::Crpl,
             scenario: scenario.clone(),
             world: world.clone(),
-            pilot: Pilot::Crpl(Crpl::new(
+            flyer: Flyer::Station(Pilot::Crpl(Crpl::new(
                 Arc::new(policies.clone()),
                 world.scale,
                 MotionLimits::of(scenario),
-            )),
+            ))),
             policy: None,
         }
     }
@@ -100,17 +124,29 @@ impl Contender {
     }
 
     /// A whole flight, interval by interval. Equal seeds give equal records.
-    #[must_use]
-    pub fn records(&self, seed: u64) -> Vec<Record> {
-        self.flown(seed).records().to_vec()
+    ///
+    /// # Errors
+    /// A controller of somebody's own that gives no answers.
+    pub fn records(&self, seed: u64) -> Result<Vec<Record>> {
+        let pilot = match &self.flyer {
+            Flyer::Mavlink(flights) => return flights.records(seed),
+            Flyer::Station(pilot) => pilot.clone(),
+        };
+        let mut station = Station::new(self.scenario.clone(), self.world.clone(), pilot);
+        let mut sim = Sim::new(self.scenario.clone(), seed);
+        fly(&mut sim, &mut station, self.scenario.horizon);
+        match station.failure() {
+            Some(why) => bail!("flight of seed {seed}: {why}"),
+            None => Ok(station.into_records()),
+        }
     }
 
     /// A whole flight's score.
     ///
     /// # Errors
-    /// If the scenario's horizon is 0.
+    /// As [`Contender::records`]; if the scenario's horizon is 0.
     pub fn fly(&self, seed: u64) -> Result<FlightScore> {
-        self.flown(seed).score().context("no interval was flown")
+        FlightScore::of(&self.records(seed)?, &self.scenario).context("no interval was flown")
     }
 
     /// A whole flight over a radio that carries everything: its score, and what went over the radio.
@@ -120,7 +156,7 @@ impl Contender {
     pub fn fly_over(&self, plan: &AirPlan, seed: u64) -> Result<(FlightScore, AirTally)> {
         let mut sim = Sim::new(self.scenario.clone(), seed);
         let horizon = self.scenario.horizon;
-        let (records, tally) = aired::fly(&mut sim, &mut self.station(), &self.world, plan, horizon)?;
+        let (records, tally) = aired::fly(&mut sim, &mut self.station()?, &self.world, plan, horizon)?;
         let score = FlightScore::of(&records, &self.scenario).context("no interval was flown")?;
         Ok((score, tally))
     }
@@ -128,19 +164,29 @@ impl Contender {
     /// Whether the controller goes by frames and not by reports.
     #[must_use]
     pub fn sees_frames(&self) -> bool {
-        self.pilot.sees_frames()
+        matches!(&self.flyer, Flyer::Station(pilot) if pilot.sees_frames())
     }
 
-    /// A station of its own that has heard nothing yet.
+    /// A station of its own that has heard nothing yet, for flights over a radio that carries everything and for
+    /// fleets.
+    ///
+    /// # Errors
+    /// A controller of somebody's own: it answers percepts as they come, and these come late or not at all.
+    pub fn station(&self) -> Result<Station> {
+        match &self.flyer {
+            Flyer::Station(pilot) if !matches!(pilot, Pilot::Own(_)) => {
+                Ok(Station::new(self.scenario.clone(), self.world.clone(), pilot.clone()))
+            }
+            _ => bail!("{} flies with --radio setpoints alone, and in no fleet", self.controller),
+        }
+    }
+
+    /// How a controller of somebody's own has answered in the flights so far; `None` for another.
     #[must_use]
-    pub fn station(&self) -> Station {
-        Station::new(self.scenario.clone(), self.world.clone(), self.pilot.clone())
-    }
-
-    fn flown(&self, seed: u64) -> Station {
-        let mut station = self.station();
-        let mut sim = Sim::new(self.scenario.clone(), seed);
-        fly(&mut sim, &mut station, self.scenario.horizon);
-        station
+    pub fn answers(&self) -> Option<AnswerTally> {
+        match &self.flyer {
+            Flyer::Station(Pilot::Own(own)) => Some(own.all_answers()),
+            _ => None,
+        }
     }
 }

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::lab::attempts::{AttemptWatch, Begun, Optimised, Quiet, optimise_for};
 use crate::lab::check::{ConstraintCheck, one_obstacle};
 use crate::lab::random;
+use crate::lab::sweep::plan::Shard;
 use crate::station::models::Models;
 
 /// Flags of `gcs optimise`.
@@ -57,6 +58,9 @@ pub struct Optimise {
     /// of 0.05 to 0.15, B dt in 2.5 to 6
     #[arg(long, value_name = "N", conflicts_with_all = ["scenario", "resume", "compare_limits", "out"])]
     random: Option<u64>,
+    /// With --random, only shard I of N, every Nth world; the rows of all shards are those of one run
+    #[arg(long, value_name = "I/N", default_value = "1/1", requires = "random")]
+    shard: Shard,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -119,7 +123,7 @@ pub fn run(args: &Optimise) -> Result<()> {
     config.check()?;
     let world = Models::load(args.checkpoint.as_deref(), None)?.world;
     if let Some(worlds) = args.random {
-        return random::run(&world, &config, worlds, args.seed, args.json);
+        return random::run(&world, &config, worlds, args.shard, args.seed, args.json);
     }
     let scenario = args.camera.scenario(&args.scenario)?;
     one_obstacle(&scenario)?;

@@ -21,6 +21,7 @@ use serde::Serialize;
 
 use crate::lab::attempts::{Begun, Quiet, optimise_for};
 use crate::lab::check::ConstraintCheck;
+use crate::lab::sweep::plan::Shard;
 
 /// Start, goal and base station lie in this range of each axis.
 const PLACE: [f64; 2] = [0.08, 0.92];
@@ -162,7 +163,7 @@ pub struct RandomRow {
     pub wall_s: f64,
 }
 
-/// Optimises for `worlds` worlds of `seed` and prints a row each, and how many were solved.
+/// Optimises for those of `worlds` worlds of `seed` that are in the shard and prints a row each, and how many were solved.
 ///
 /// # Errors
 /// As [`optimise_for`].
@@ -170,6 +171,7 @@ pub fn run(
     world_model: &Arc<WorldModel>,
     config: &OptimiseConfig,
     worlds: u64,
+    shard: Shard,
     seed: u64,
     json: bool,
 ) -> Result<()> {
@@ -179,7 +181,7 @@ pub fn run(
             "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s"
         );
     }
-    for n in 0..worlds {
+    for n in (0..worlds).filter(|n| n % shard.of == shard.number - 1) {
         let scenario = world(seed, n);
         let solvable = solvable(&scenario);
         // Where no controller can, one attempt is enough to see that the bound is one.

@@ -13,6 +13,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::evaluation::chart;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::files::write_whole;
+use crpl_sitl::program::flight_log;
 use crpl_sitl::sim::metric::Metric;
 use crpl_sitl::sim::record::Record;
 use serde::Serialize;
@@ -214,11 +215,11 @@ fn write_record(lines: &mut Vec<u8>, record: &Record, stamped: bool) -> std::io:
         let mut line = serde_json::to_value(record)?;
         line["policy_mismatch"] = true.into();
         serde_json::to_writer(&mut *lines, &line)?;
+        lines.push(b'\n');
+        Ok(())
     } else {
-        serde_json::to_writer(&mut *lines, record)?;
+        flight_log::write_line(lines, record)
     }
-    lines.push(b'\n');
-    Ok(())
 }
 
 /// Writes records as JSON, one line per interval.

@@ -11,6 +11,7 @@ use crate::flight::{Flight, FlightEnd};
 use crate::station::Station;
 use crate::station::models::PolicyOrigin;
 use crate::station::pilot::Controller;
+use crate::station::pilot::own::AnswerTally;
 
 /// How and when a flight has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -64,6 +65,9 @@ pub struct Summary {
     pub setpoints_held_back: u64,
     /// Where the controller's policies come from; `None` for a controller without any.
     pub policy: Option<PolicyOrigin>,
+    /// How a controller of somebody's own has answered; `None` for another.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub answers: Option<AnswerTally>,
 }
 
 /// Percentiles, ms.
@@ -105,6 +109,7 @@ impl Summary {
             taken_over: flight.ended == FlightEnd::TakenOver,
             setpoints_held_back: flight.suppressed_setpoints,
             policy: station.policy().cloned(),
+            answers: station.answers().cloned(),
         })
     }
 }
@@ -141,7 +146,7 @@ pub fn table(flights: &[Summary]) -> String {
     ];
     let mut text = format!("{:<40}", flights.first().map_or("", |f| f.scenario.as_str()));
     for flight in flights {
-        text += &format!("{:>12}", flight.controller.to_string());
+        text += &format!("{:>12}", flight.controller.label());
     }
     let mut row = |name: &str, cell: &dyn Fn(&Summary) -> String| {
         text += &format!("\n{name:<40}");
@@ -164,6 +169,11 @@ pub fn table(flights: &[Summary]) -> String {
         if let Some(mismatch) = flight.policy.as_ref().and_then(PolicyOrigin::mismatch) {
             let does = if flight.controller.flies_policies() { "flew" } else { "began its search with" };
             text += &format!("{}: {does} a policy of another world: {mismatch}\n", flight.controller);
+        }
+    }
+    for flight in flights {
+        if let Some(told) = flight.answers.as_ref().and_then(AnswerTally::told) {
+            text += &format!("{}: {told}\n", flight.controller);
         }
     }
     for flight in flights.iter().filter(|flight| flight.fell) {

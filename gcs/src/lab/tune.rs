@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use crpl_model::numeric::statistics::Mean;
+use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
@@ -33,6 +34,8 @@ pub struct Tune {
     /// Worlds to tune in, TOML files or presets; the aim is the mean over them
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["demo", "lowest-bandwidth", "gusty"])]
     scenario: Vec<String>,
+    #[command(flatten)]
+    camera: CameraFlag,
     /// First of the consecutive training seeds
     #[arg(long, value_name = "N", default_value_t = FIRST_TRAINING)]
     first_seed: u64,
@@ -244,7 +247,7 @@ fn near(law: &Law, rng: &mut impl Rng) -> Law {
 /// # Errors
 /// A world that does not read, a file that cannot be written, a signal.
 pub fn run(args: &Tune) -> Result<()> {
-    let worlds = args.scenario.iter().map(|name| Ok(Scenario::named(name)?)).collect::<Result<_>>()?;
+    let worlds = args.scenario.iter().map(|name| args.camera.scenario(name)).collect::<Result<_>>()?;
     let search = Search {
         controller: args.controller,
         worlds,

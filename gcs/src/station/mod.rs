@@ -15,6 +15,7 @@ use std::sync::Arc;
 use anyhow::Result;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::Frame;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use crpl_sitl::sim::metric::FlightScore;
@@ -25,6 +26,7 @@ use nalgebra::Vector2;
 
 use crate::station::belief::{Belief, Latents};
 use crate::station::models::{Models, PolicyOrigin};
+use crate::station::pilot::own::AnswerTally;
 use crate::station::pilot::{Controller, Pilot};
 use crate::station::seen::{BeliefConfig, Heard};
 use crate::station::sighting::Sighting;
@@ -90,7 +92,8 @@ impl Station {
         if let Some(sighting) = Sighting::of_percept(&self.world, percept, self.scenario.obstacles.len()) {
             self.belief.see(heard.tick, &sighting);
         }
-        let command = self.answer(now.max(percept.telemetry.tick), &percept.telemetry);
+        let frame = Some(percept.frame.as_ref());
+        let command = self.answer(now.max(percept.telemetry.tick), &percept.telemetry, frame);
         self.last = Some((percept.telemetry, command));
         command
     }
@@ -117,7 +120,7 @@ impl Station {
         if self.pilot.sees_frames() {
             self.belief.seen()?;
         }
-        Some(self.answer(now, &heard))
+        Some(self.answer(now, &heard, None))
     }
 
     /// The ticks of the newest frame and of the newest report that have arrived.
@@ -138,10 +141,10 @@ impl Station {
         self.pilot.sees_frames()
     }
 
-    fn answer(&mut self, now: Tick, telemetry: &Telemetry) -> Command {
+    fn answer(&mut self, now: Tick, telemetry: &Telemetry, frame: Option<&Frame>) -> Command {
         let rolled = self.pilot.knows_equations().then(|| self.rolled(*telemetry, now));
         let present = rolled.as_ref().unwrap_or(telemetry);
-        let decision = self.pilot.decide(now, &self.belief, present, &self.scenario.scale);
+        let decision = self.pilot.decide(now, &self.belief, present, frame, &self.scenario.scale);
         let command = self.command(now, decision);
         self.belief.send(&command);
         command
@@ -195,6 +198,12 @@ impl Station {
         &self.records
     }
 
+    /// The lines of a flight that is over.
+    #[must_use]
+    pub fn into_records(self) -> Vec<Record> {
+        self.records
+    }
+
     /// Intervals of which no percept arrived (real time only).
     #[must_use]
     pub fn missed(&self) -> u64 {
@@ -235,6 +244,24 @@ impl Station {
     #[must_use]
     pub fn world(&self) -> &Arc<WorldModel> {
         &self.world
+    }
+
+    /// Why the controller cannot fly on, if it cannot: one of somebody's own that gives no answers.
+    #[must_use]
+    pub fn failure(&self) -> Option<&str> {
+        match &self.pilot {
+            Pilot::Own(own) => own.failure(),
+            _ => None,
+        }
+    }
+
+    /// How a controller of somebody's own has answered; `None` for another.
+    #[must_use]
+    pub fn answers(&self) -> Option<&AnswerTally> {
+        match &self.pilot {
+            Pilot::Own(own) => Some(own.answers()),
+            _ => None,
+        }
     }
 
     /// The flight's parameters.

@@ -13,6 +13,7 @@ use crpl_sitl::program::files::fingerprint;
 use serde::Serialize;
 
 use crate::station::pilot::laws::Laws;
+use crate::station::pilot::own::OwnFlags;
 
 /// The trained things that a station needs.
 #[derive(Debug, Clone)]
@@ -27,6 +28,8 @@ pub struct Models {
     pub cache: Option<PathBuf>,
     /// What `rcc` and `ucc` fly.
     pub laws: Laws,
+    /// How long controllers of somebody's own are waited for.
+    pub own: OwnFlags,
 }
 
 /// What happens where a policy was optimised for another world than the scenario.
@@ -95,7 +98,14 @@ impl Models {
             None => WorldModel::embedded()?,
         };
         let laws = Laws::load::<&Path>(&[])?;
-        Ok(Self { world: Arc::new(world), policy, mismatch: MismatchRule::Refuse, cache: None, laws })
+        Ok(Self {
+            world: Arc::new(world),
+            policy,
+            mismatch: MismatchRule::Refuse,
+            cache: None,
+            laws,
+            own: OwnFlags::default(),
+        })
     }
 
     /// The policies for `scenario`: the file that was given, or the first of the shipped ones and of the
@@ -208,6 +218,9 @@ pub struct ModelFiles {
     /// Optimise policies for a scenario that no policy covers, once, and keep them in the cache
     #[arg(long, conflicts_with_all = ["policy_mismatch", "policy"])]
     pub optimise: bool,
+    /// Controllers of somebody's own
+    #[command(flatten)]
+    pub own: OwnFlags,
 }
 
 /// Folder of the policies that were optimised on this machine: $CRPL_CACHE, $XDG_CACHE_HOME/crpl or
@@ -227,6 +240,6 @@ impl ModelFiles {
     pub fn load(&self) -> Result<Models> {
         let models = Models::load(self.checkpoint.as_deref(), self.policy.clone())?;
         let laws = Laws::load(&self.gains)?;
-        Ok(Models { mismatch: self.policy_mismatch, cache: cache_folder(), laws, ..models })
+        Ok(Models { mismatch: self.policy_mismatch, cache: cache_folder(), laws, own: self.own, ..models })
     }
 }

@@ -195,6 +195,9 @@ fn timed(lines: Vec<String>) -> VecDeque<(Duration, String)> {
 }
 
 fn script(path: &Path, all: bool) -> Result<Script> {
+    // A run folder stands for its log.
+    let within = path.join("flight.tlog");
+    let path = if path.is_dir() && within.exists() { &within } else { path };
     let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
     let name = || path.display().to_string();
     let script = if path.extension().is_some_and(|end| end == "jsonl") {

@@ -14,13 +14,16 @@ use crate::link::signing::{Policy, Signing, Store};
 use crate::program::air::{self, AirGap};
 use crate::program::camera::CameraFlag;
 use crate::program::fleet;
+use crate::program::flight_log::FlightLog;
 use crate::program::shell::{Ended, LINKS, Shell};
-use crate::program::terminal::{Signals, positive, say, speed};
+use crate::program::terminal::{ExitWith, Signals, folder, positive, say, speed};
 use crate::program::timing::{Histogram, Stats, Stopwatch};
 use crate::scenario::{Rule, Scenario, presets};
 use crate::vehicle::geodesy::Home;
 use crate::vehicle::{Start, Vehicle};
 
+/// The exit code of a flight that could not be written down.
+const NOT_WRITTEN: u8 = 7;
 /// The longest control interval on the wall: a timer has no time beyond some ages.
 const LONGEST_PERIOD: Duration = Duration::from_secs(365 * 86_400);
 
@@ -104,6 +107,13 @@ pub struct Args {
     /// Fly anywhere: no walls, no obstacles, no packet loss, and the start at the local origin
     #[arg(long)]
     pub open: bool,
+    /// Write the flight down, whoever flies: record.jsonl, run.json and config.toml, for `gcs score` and `gcs
+    /// compare`. With --instances, vehicle N has DIR/N
+    #[arg(long, value_name = "DIR", value_parser = folder)]
+    pub out: Option<PathBuf>,
+    /// Replace the flight that is in this folder
+    #[arg(long, requires = "out")]
+    pub overwrite: bool,
     /// Print timing statistics at the end: delay of control intervals, CPU time
     #[arg(long)]
     pub stats: bool,
@@ -208,6 +218,22 @@ impl Args {
         Ok(shells)
     }
 
+    /// A folder for each vehicle's flight, if there is to be one.
+    fn keep_logs(&self, shells: &mut [Shell]) -> Result<()> {
+        let Some(out) = &self.out else { return Ok(()) };
+        for shell in shells {
+            let log = |vehicle: &Vehicle| {
+                let several = self.instances > 1;
+                let dir = if several { out.join(vehicle.system().to_string()) } else { out.clone() };
+                let sim = vehicle.sim();
+                FlightLog::begin(&dir, self.overwrite, sim.scenario(), sim.seed())
+            };
+            let logs = shell.vehicles().iter().map(log).collect::<Result<Vec<_>>>()?;
+            shell.keep_logs(logs);
+        }
+        Ok(())
+    }
+
     /// Key and timestamps of each vehicle, and their files; none without a key.
     fn signing(&self) -> Result<Vec<(Signing, Store)>> {
         let required = self.signing == Some(SigningPolicy::Required);
@@ -259,6 +285,7 @@ pub async fn run(args: Args) -> Result<()> {
         let vehicles = shell.vehicles().len();
         shell.keep_signing(keys.by_ref().take(vehicles));
     }
+    args.keep_logs(&mut shells)?;
     for line in shells.iter().flat_map(Shell::describe) {
         say(&line);
     }
@@ -274,7 +301,8 @@ pub async fn run(args: Args) -> Result<()> {
             };
             shell.close().await;
             shell.save_signing(true);
-            (index, ended, shell)
+            let unwritten = shell.close_logs(ended);
+            (index, ended, shell, unwritten)
         });
     }
     let all = flights.join_all();
@@ -286,18 +314,21 @@ pub async fn run(args: Args) -> Result<()> {
         };
     };
     flown.sort_by_key(|(index, ..)| *index);
-    for (_, ended, shell) in &flown {
+    for (_, ended, shell, _) in &flown {
         tell(*ended, shell, args.instances > 1);
     }
-    if let (Some(path), Some((.., shell))) = (&args.save_params, flown.first()) {
+    if let (Some(path), Some((_, _, shell, _))) = (&args.save_params, flown.first()) {
         let text = param_file::write(shell.vehicle().settable_params());
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
     }
     if args.stats {
         let (wall, cpu) = stopwatch.elapsed();
-        say(&format!("stats: {}", stats(flown.iter().map(|(.., shell)| shell), wall, cpu)));
+        say(&format!("stats: {}", stats(flown.iter().map(|(_, _, shell, _)| shell), wall, cpu)));
     }
-    Ok(())
+    match flown.into_iter().find_map(|(.., unwritten)| unwritten) {
+        Some(why) => Err(ExitWith { code: NOT_WRITTEN, why }.into()),
+        None => Ok(()),
+    }
 }
 
 /// Whether a file can be written, before anything is flown that it is to hold. One that is not there is not made.

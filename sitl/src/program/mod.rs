@@ -8,6 +8,7 @@
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
 //! | [`files`] | files that are whole or absent |
+//! | [`flight_log`] | the folder of a flight as the vehicle knows it |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`progress`] | progress bars |
 //! | [`shell`] | sockets and timers: lockstep and real time |
@@ -18,6 +19,7 @@ pub mod camera;
 pub mod cli;
 pub mod files;
 pub mod fleet;
+pub mod flight_log;
 pub mod progress;
 pub mod renamed;
 pub mod shell;

@@ -20,6 +20,7 @@ use crate::link::PeerId;
 use crate::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links};
 use crate::link::signing::{Signing, Store};
 use crate::program::air::AirGap;
+use crate::program::flight_log::FlightLog;
 use crate::program::terminal::interrupted;
 use crate::program::timing::Histogram;
 use crate::radio::air::Way;
@@ -87,6 +88,8 @@ pub struct Shell {
     start: Instant,
     buffer: Vec<u8>,
     lateness: Histogram,
+    /// Where each vehicle's flight is written down, if it is.
+    logs: Vec<FlightLog>,
     /// Where each vehicle keeps its key, if they do.
     stores: Vec<Store>,
     /// The radio of each vehicle, if it carries everything; else none.
@@ -117,16 +120,8 @@ impl Shell {
             }
         }
         let (buffer, lateness) = (vec![0; BUFFER], Histogram::default());
-        Self {
-            links,
-            vehicles,
-            start: Instant::now(),
-            buffer,
-            lateness,
-            stores: Vec::new(),
-            airs: Vec::new(),
-            stop: None,
-        }
+        let (start, logs, stores, airs) = (Instant::now(), Vec::new(), Vec::new(), Vec::new());
+        Self { links, vehicles, start, buffer, lateness, logs, stores, airs, stop: None }
     }
 
     /// Puts a radio between each vehicle and the endpoints, in the vehicles' order: for real time alone, as in
@@ -163,6 +158,35 @@ impl Shell {
             vehicle.set_signing(signing);
             self.stores.push(store);
         }
+    }
+
+    /// Writes down the vehicles' flights, in their order.
+    pub fn keep_logs(&mut self, logs: impl IntoIterator<Item = FlightLog>) {
+        self.logs.extend(logs);
+        self.vehicles.iter_mut().zip(&self.logs).for_each(|(vehicle, _)| vehicle.keep_records());
+    }
+
+    /// Writes down the intervals that have ended.
+    fn log(&mut self) {
+        for (vehicle, log) in self.vehicles.iter_mut().zip(&mut self.logs) {
+            log.append(&vehicle.take_records());
+        }
+    }
+
+    /// Writes down how the flights have ended. What could not be written, in one line.
+    pub fn close_logs(&mut self, ended: Ended) -> Option<String> {
+        self.log();
+        let how = if ended == Ended::Interrupted { "interrupted" } else { "over" };
+        let ticks = self.vehicles.iter().map(|vehicle| vehicle.sim().tick().0);
+        let failed: Vec<String> =
+            self.logs.drain(..).zip(ticks).filter_map(|(log, tick)| log.finish(how, tick)).collect();
+        failed.into_iter().next()
+    }
+
+    /// The vehicles, whose links are closed.
+    #[must_use]
+    pub fn into_vehicles(self) -> Vec<Vehicle> {
+        self.vehicles
     }
 
     /// What each endpoint does, for a person.
@@ -212,6 +236,7 @@ impl Shell {
                             resend = Backoff::default();
                         }
                     }
+                    self.log();
                 }
                 () = resend.elapsed() => {
                     self.vehicles.iter_mut().for_each(Vehicle::send_percept);
@@ -261,6 +286,7 @@ impl Shell {
                 vehicle.send_percept();
             }
         }
+        self.log();
     }
 
     /// Hands what has come to the vehicles, and what else is there already.

@@ -79,6 +79,12 @@ impl Gate {
         }
     }
 
+    /// The command that waits for the next interval.
+    #[must_use]
+    pub fn pending(&self) -> Option<Command> {
+        self.pending
+    }
+
     /// Control interval `now` at SNR `snr`: decides whether there is an outage, R Δt < L_pkt, never under
     /// [`Rule::Ideal`]. Without one the waiting packet gets through, and the vehicle holds its command
     /// from now on; in one its fate is as [`Radio::rule`] says.

@@ -86,28 +86,45 @@ impl Scenario {
     /// The first value that is out of range, with its key and what it must be; or a start or goal that an
     /// obstacle covers.
     pub fn check(&self) -> Result<(), ScenarioError> {
-        for (key, value, least, most) in self.lengths().into_iter().chain(self.others()) {
-            check(key, value, (least..=most).contains(&value), || within(least, most))?;
-        }
+        self.faults().into_iter().next().map_or(Ok(()), Err)
+    }
+
+    /// Everything that [`Scenario::check`] would refuse, in its order.
+    #[must_use]
+    pub fn faults(&self) -> Vec<ScenarioError> {
+        let mut all: Vec<Result<(), ScenarioError>> = self
+            .ranges()
+            .map(|(key, value, least, most)| {
+                check(key, value, (least..=most).contains(&value), || within(least, most))
+            })
+            .collect();
         let most = 1000.0 * self.radio.b_dt;
-        check("radio.packet_bits", self.radio.packet_bits, self.radio.packet_bits <= most, || {
+        all.push(check("radio.packet_bits", self.radio.packet_bits, self.radio.packet_bits <= most, || {
             "must be at most 1000 times radio.b_dt".into()
-        })?;
+        }));
         let count = self.obstacles.len();
-        check("number of obstacles", count as f64, count <= MAX_OBSTACLES, || "must be at most 8".into())?;
+        all.push(check("number of obstacles", count as f64, count <= MAX_OBSTACLES, || {
+            "must be at most 8".into()
+        }));
         for (n, obstacle) in self.obstacles.iter().enumerate() {
-            obstacle.check(n)?;
+            all.push(obstacle.check(n));
             let is_alone = self.obstacles[..n].iter().all(|o| o.position != obstacle.position);
-            check(&format!("obstacle[{n}].position[0]"), obstacle.position.x, is_alone, || {
+            all.push(check(&format!("obstacle[{n}].position[0]"), obstacle.position.x, is_alone, || {
                 "must be another place than that of the obstacles before it".into()
-            })?;
+            }));
         }
         if let Some((key, value, must)) = self.camera.violation() {
-            return Err(ScenarioError::Range { key: format!("camera.{key}"), value, must });
+            all.push(Err(ScenarioError::Range { key: format!("camera.{key}"), value, must }));
         }
-        self.is_free("start", self.start, |_| true)?;
+        all.push(self.is_free("start", self.start, |_| true));
         // One that moves can leave the goal before the UAV is there.
-        self.is_free("goal", self.goal, |obstacle| obstacle.velocity == Vector2::zeros())
+        all.push(self.is_free("goal", self.goal, |obstacle| obstacle.velocity == Vector2::zeros()));
+        all.into_iter().filter_map(Result::err).collect()
+    }
+
+    /// Every number with a range of its own: its key, its value, the least and the greatest that it may have.
+    pub fn ranges(&self) -> impl Iterator<Item = (&'static str, f64, f64, f64)> {
+        self.lengths().into_iter().chain(self.others())
     }
 
     /// Everything in the paper's units of length and time.
@@ -255,6 +272,12 @@ pub(super) fn key_at(text: &str, span: Option<std::ops::Range<usize>>) -> Option
     let (key, _) = text.get(start - line..)?.lines().next()?.split_once('=')?;
     // Before the sign stands the key itself, of which the parser speaks.
     (line > key.len()).then(|| key.trim())
+}
+
+/// Whether the text is a file of `gcs sweep`.
+pub(super) fn is_sweep(text: &str) -> bool {
+    toml::from_str::<toml::Table>(text)
+        .is_ok_and(|table| table.contains_key("axis") && table.contains_key("points"))
 }
 
 /// The former spelling that a scenario's text uses.

@@ -4,6 +4,7 @@
 //! An unknown key is an error, and after [`Scenario::load`] nothing checks ranges again.
 
 mod check;
+pub mod keys;
 pub mod presets;
 
 pub use check::{ScenarioError, new_spelling};
@@ -514,6 +515,9 @@ impl Scenario {
         let text = text.trim_start_matches('\u{feff}');
         let scenario: Self = toml::from_str(text).map_err(|error| match check::renamed(text) {
             Some(renamed) => anyhow::Error::from(renamed),
+            None if check::is_sweep(text) => {
+                anyhow::anyhow!("this is a sweep, not a scenario: gcs sweep --config FILE flies it")
+            }
             None => match check::key_at(text, error.span()) {
                 Some(key) => anyhow::anyhow!("`{key}`: {error}"),
                 None => error.into(),

@@ -115,6 +115,13 @@ impl Sim {
         self.gate.submit(command);
     }
 
+    /// The command that the transmitter sends in the interval which begins; where there is none, one that asks
+    /// for nothing, at the transmitter's power.
+    #[must_use]
+    pub fn asked(&self) -> Command {
+        self.gate.pending().unwrap_or_else(|| Command::new(self.tick, [0.0; 2], self.gate.power()))
+    }
+
     /// Forgets the command that is held and the one that waits.
     pub fn release(&mut self) {
         self.gate.release();

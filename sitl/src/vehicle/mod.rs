@@ -70,6 +70,7 @@ use crate::link::wire::{Clock, Refusal};
 use crate::link::{AUTOPILOT, CAMERA, PeerId, RADIO};
 use crate::scenario::{Action, Scenario};
 use crate::sim::Sim;
+use crate::sim::record::Record;
 use crate::units::Tick;
 use crate::world::contact::Contact;
 use battery::Battery;
@@ -156,6 +157,8 @@ pub struct Vehicle {
     /// Since 1970 when `now` was zero, if anybody knows.
     epoch: Option<Duration>,
     tally: Tally,
+    /// The intervals since [`Vehicle::take_records`], if they are kept.
+    records: Option<Vec<Record>>,
 }
 
 /// What the vehicle made of the messages addressed to it.
@@ -333,7 +336,18 @@ impl Vehicle {
             default_hz: BTreeMap::new(),
             epoch: None,
             tally: Tally::default(),
+            records: None,
         }
+    }
+
+    /// Keeps a record of every interval from now on, whoever flies.
+    pub fn keep_records(&mut self) {
+        self.records.get_or_insert_default();
+    }
+
+    /// The intervals since the last call, if they are kept.
+    pub fn take_records(&mut self) -> Vec<Record> {
+        self.records.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// Tells the time since 1970 at which `now` was zero; without it SYSTEM_TIME says 0, unknown.
@@ -504,6 +518,7 @@ impl Vehicle {
     /// One control interval passes; the percept at its end goes to all peers.
     pub fn advance(&mut self, now: Duration) {
         (self.now, self.advanced) = (now, now);
+        let begun = self.records.is_some().then(|| (self.sim.telemetry(), self.sim.asked()));
         let before = self.sim.telemetry().link.is_some_and(|link| link.outage);
         let arrivals = self.arrivals();
         self.sim.transmit();
@@ -519,6 +534,9 @@ impl Vehicle {
         let control = self.control(now);
         self.sim.set_control(control);
         self.sim.step();
+        if let (Some(records), Some((report, command))) = (&mut self.records, begun) {
+            records.push(Record::new(&report, &command, &self.sim.telemetry(), self.sim.scenario()));
+        }
         self.tell_contact(now);
         (self.ready, self.png, self.sendings) = (false, None, 0);
         let power = link.map_or(self.sim.power(), |link| link.power);

@@ -309,9 +309,9 @@ mod tests {
         let models = Models::load(None, None).unwrap();
         let contender = Contender::new(&models, controller, &scenario).unwrap();
         let mut sim = Sim::new(scenario.clone(), 3);
-        let mut station = contender.station();
+        let mut station = contender.station().unwrap();
         let (records, tally) = fly(&mut sim, &mut station, &models.world, plan, TICKS).unwrap();
-        let (mut sim, mut station) = (Sim::new(scenario, 3), contender.station());
+        let (mut sim, mut station) = (Sim::new(scenario, 3), contender.station().unwrap());
         lab::fly(&mut sim, &mut station, TICKS);
         (records, station.records().to_vec(), tally)
     }

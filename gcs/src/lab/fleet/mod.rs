@@ -10,6 +10,7 @@ pub mod scheduler;
 pub mod separation;
 pub mod table;
 
+use anyhow::Result;
 use crpl_model::world_model::StationHeads;
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::sim::metric::FlightScore;
@@ -111,12 +112,15 @@ struct FleetFlight<'a> {
 }
 
 /// Flies a fleet of vehicles that `contender` commands, `heads` predicting their gains.
-#[must_use]
-pub fn fly(contender: &Contender, heads: &StationHeads, plan: &FleetPlan, seed: u64) -> FleetScore {
+///
+/// # Errors
+/// As [`Contender::station`].
+pub fn fly(contender: &Contender, heads: &StationHeads, plan: &FleetPlan, seed: u64) -> Result<FleetScore> {
     let scenario = contender.scenario();
+    let station = contender.station()?;
     let member = |n: usize| Member {
         sim: Sim::new(scenario.clone(), seed.wrapping_mul(1000).wrapping_add(n as u64)),
-        station: contender.station(),
+        station: station.clone(),
         leaves: plan.headway * (n as u64 / 2),
         mirrored: n % 2 == 1,
         at_goal: 0,
@@ -147,7 +151,7 @@ pub fn fly(contender: &Contender, heads: &StationHeads, plan: &FleetPlan, seed: 
     let FleetFlight { members, mut score, powers, .. } = flight;
     score.flights = members.iter().filter_map(|member| member.station.score()).collect();
     score.power = powers.iter().sum::<f64>() / powers.len().max(1) as f64;
-    score
+    Ok(score)
 }
 
 impl FleetFlight<'_> {
@@ -271,7 +275,7 @@ mod tests {
         let scenario = Scenario::named("demo").unwrap();
         let models = Models::load(None, None).unwrap();
         let heads = models.world.station_heads(&scenario);
-        fly(&Contender::new(&models, controller, &scenario).unwrap(), &heads, plan, 5)
+        fly(&Contender::new(&models, controller, &scenario).unwrap(), &heads, plan, 5).unwrap()
     }
 
     const PLAN: FleetPlan = FleetPlan {

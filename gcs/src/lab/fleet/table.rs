@@ -131,7 +131,7 @@ pub fn run(args: &FleetFlags) -> Result<()> {
                         bar.inc(1);
                         score
                     })
-                    .collect();
+                    .collect::<Result<_>>()?;
                 if let Some(signal) = stop.get() {
                     bar.finish_and_clear();
                     return Err(signal.exit("the flights of this row are discarded").into());

@@ -20,10 +20,11 @@ pub mod verdict;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use crpl_model::evaluation::chart;
 use plotters::style::RGBColor;
 
+use crpl_sitl::program::flight_log;
 use crpl_sitl::program::terminal::StopSignal;
 
 use crate::lab::policies;
@@ -59,7 +60,7 @@ pub struct Report {
     #[arg(value_name = "scenarios|all|DIR")]
     what: String,
     /// Controllers to fly [default: the paper's four, and those of the sweep files]
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
     controller: Option<Vec<Controller>>,
     /// Override the sweep files' number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -130,6 +131,18 @@ fn write(dir: &Path, name: &str, text: &str) -> Result<()> {
 }
 
 fn open(dir: &Path) -> Result<Finished> {
+    if dir.join(flight_log::RECORDS).exists() {
+        let dir = dir.display();
+        bail!(
+            "{dir} holds one flight, not a sweep: `gcs score {dir}` prints its numbers, {dir}/path.svg shows it"
+        );
+    }
+    if std::fs::read_dir(dir)
+        .is_ok_and(|all| all.flatten().any(|one| one.path().join(flight_log::RECORDS).exists()))
+    {
+        let dir = dir.display();
+        bail!("{dir} holds flights, not a sweep: `gcs compare {dir}/*/` puts them side by side");
+    }
     let folder = Folder::open(dir)?;
     let episodes = folder.finished()?;
     let episodes =

@@ -67,7 +67,7 @@ pub struct Flown {
 
 impl ScenarioFlight {
     fn new(contender: &Contender, scenario: &Scenario) -> Result<Self> {
-        let records = contender.records(0);
+        let records = contender.records(0)?;
         let score = FlightScore::of(&records, scenario).context("no interval was flown")?;
         let snr = |r: &Record| Snr::from_db(f64::from(r.snr_db)).0;
         let least = scenario.channel.snr_min;

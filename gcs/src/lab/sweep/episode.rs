@@ -3,7 +3,6 @@
 use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 
 use crate::lab::Contender;
@@ -94,9 +93,7 @@ impl SweepEpisode {
         let mut cells = Self::head().zip(line.split(','));
         let (x, controller, seed) = (cell(cells.next())?, cells.next(), cell(cells.next())?);
         let (_, controller) = controller.unwrap_or_default();
-        let controller = Controller::from_str(controller, false)
-            .ok()
-            .with_context(|| format!("no controller is called {controller:?}"))?;
+        let controller: Controller = controller.parse()?;
         let metrics = Metric::ALL.iter().map(|_| cell(cells.next())).collect::<Result<Vec<f64>>>()?;
         let mut outcomes = [false; FlightOutcome::ALL.len()];
         for outcome in &mut outcomes {

@@ -36,6 +36,7 @@ use rayon::prelude::*;
 use crate::lab::{Contender, policies};
 use crate::station::models::{MismatchRule, ModelFiles, Models, PolicyUse};
 use crate::station::pilot::Controller;
+use crate::station::pilot::own::AnswerTally;
 use crate::watch::feed::{Feed, WatchEvent};
 use crate::watch::{WatchFlags, WatchPage};
 use episode::SweepEpisode;
@@ -62,7 +63,7 @@ pub struct Sweep {
     #[arg(long, value_name = "N")]
     first_seed: Option<u64>,
     /// Override the file's controllers
-    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
     controller: Option<Vec<Controller>>,
     /// Fly only shard I of N, every Nth seed; `gcs merge` joins the shards
     #[arg(long, value_name = "I/N", default_value = "1/1")]
@@ -155,6 +156,9 @@ pub fn resolve(file: SweepFile, flags: &Overrides, models: &mut Models) -> Resul
                 uncovered.push(UncoveredPoint { x: *x, policy: origin.source, mismatch });
             }
         }
+        for own in plan.controllers.iter().filter_map(|c| c.own()) {
+            all += &own.fingerprint();
+        }
         let policy = fingerprint(all.as_bytes());
         Ok(SweepModels { world_model: checkpoint::fingerprint(&models.world)?, policy, uncovered })
     })
@@ -236,6 +240,11 @@ fn fly(
         })
         .collect();
     bar.finish_and_clear();
+    for (x, contender) in &contenders {
+        if let Some(told) = contender.answers().as_ref().and_then(AnswerTally::told) {
+            tracing::warn!("{} = {x}, {}: {told}", plan.axis, contender.controller);
+        }
+    }
     let flown: Vec<SweepEpisode> = flown?.into_iter().flatten().collect();
     let all = done.len() + flown.len();
     if all < total {

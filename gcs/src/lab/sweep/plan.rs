@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
-use crpl_sitl::scenario::new_spelling;
+use crpl_sitl::scenario::keys::entry;
 use serde::{Deserialize, Serialize};
 
 use crate::station::pilot::Controller;
@@ -250,25 +250,6 @@ impl SweepPlan {
         let (ours, theirs) = (toml::Table::try_from(self)?, toml::Table::try_from(other)?);
         Ok(difference("", &ours, &theirs))
     }
-}
-
-/// The value under a key such as `radio.b_dt`, `goal[0]` or `obstacle[1].position[0]`.
-fn entry<'a>(root: &'a mut toml::Value, key: &str) -> Result<&'a mut toml::Value> {
-    let former = new_spelling(key.split('.').next().unwrap_or_default());
-    let unknown = || former.map_or("a scenario has no such key".into(), |new| format!("this is now {new}"));
-    let mut value = root;
-    for part in key.split('.') {
-        let (name, indices) = part.split_once('[').map_or((part, None), |(name, rest)| (name, Some(rest)));
-        value = value.get_mut(name).with_context(unknown)?;
-        for index in indices.into_iter().flat_map(|all| all.split('[')) {
-            let index =
-                index.strip_suffix(']').and_then(|n| n.parse::<usize>().ok()).with_context(unknown)?;
-            let count = value.as_array().with_context(unknown)?.len();
-            let unset = || format!("{name} has {count} entries here; set further ones under [scenario]");
-            value = value.get_mut(index).with_context(unset)?;
-        }
-    }
-    Ok(value)
 }
 
 fn difference(prefix: &str, ours: &toml::Table, theirs: &toml::Table) -> Option<String> {

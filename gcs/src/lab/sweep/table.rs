@@ -189,7 +189,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let [reached, below] = SHOWN.map(FlightOutcome::key);
     head(&mut out, &mut Metric::ALL.into_iter(), mean_width, &format!("{reached:>10}{below:>8}"));
     for row in rows {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
+        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
         for (m, mean) in row.means.iter() {
             let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
@@ -204,7 +204,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         head(&mut out, &mut Metric::compared(), |_| 22, "");
     }
     for row in others() {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.to_string());
+        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
         for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
             let _ = write!(out, "{:>22}", ratio_cell(&ratio));
         }
