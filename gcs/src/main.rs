@@ -18,7 +18,7 @@ use crpl_gcs::lab::{bound, check, episodes, optimise, policies, record, report, 
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
-use crpl_gcs::tools::{bridge, key, link, mission, param, replay, tlog};
+use crpl_gcs::tools::{bridge, export, key, link, mission, param, replay, tlog};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
@@ -69,6 +69,8 @@ enum GcsCommand {
     Mission(mission::Missions),
     /// Send a recorded flight to whoever watches
     Replay(replay::Replay),
+    /// Write a flight as a table, a track on a map, or a log for Foxglove
+    Export(export::ExportArgs),
     /// Look into telemetry logs, cut and merge them
     Tlog(tlog::TlogArgs),
     /// Make keys of message signing, and tell them apart
@@ -326,6 +328,7 @@ fn main() -> ExitCode {
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
+        GcsCommand::Export(args) => export::run(&args),
         GcsCommand::Tlog(args) => tlog::run(&args),
         GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),

@@ -2,6 +2,7 @@
 
 pub mod bridge;
 pub mod command;
+pub mod export;
 pub mod fleet;
 pub mod identity;
 pub mod key;

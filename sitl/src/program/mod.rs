@@ -6,16 +6,20 @@
 //! | [`renamed`] | words of the command line that have changed |
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
+//! | [`common`] | flags and subcommands of all three programs: log, completions, manual pages |
 //! | [`files`] | files that are whole or absent |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
-//! | [`progress`] | progress bars |
+//! | [`log`] | the log on stderr |
+//! | [`progress`] | progress bars, and lines where there is no terminal |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
 pub mod camera;
 pub mod cli;
+pub mod common;
 pub mod files;
 pub mod fleet;
+pub mod log;
 pub mod progress;
 pub mod renamed;
 pub mod shell;
