@@ -1,14 +1,10 @@
 //! A flight as an MCAP log, which Foxglove and Rerun open: places as `foxglove.LocationFix`, poses in the local frame
 //! as `foxglove.PoseInFrame` (x east, y north, z up), and the records as they are; messages are JSON.
 
-use std::collections::BTreeMap;
-use std::io::Cursor;
-
-use anyhow::{Context, Result};
-use mcap::records::{MessageHeader, Metadata};
-use mcap::{WriteOptions, Writer};
+use anyhow::Result;
 use serde_json::{Value, json};
 
+use super::mcap::McapLog;
 use super::track::{FlightTrack, TrackSample};
 
 /// The parts of Foxglove's schemas that are used here.
@@ -47,15 +43,13 @@ fn stamp_schema() -> Value {
 
 /// A log that is written.
 struct Log<'a> {
-    writer: Writer<Cursor<Vec<u8>>>,
+    file: McapLog,
     track: &'a FlightTrack,
-    sequences: BTreeMap<u16, u32>,
 }
 
 impl Log<'_> {
-    fn channel(&mut self, topic: &str, name: &str, schema: &Value) -> Result<u16> {
-        let schema = self.writer.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
-        Ok(self.writer.add_channel(schema, topic, "json", &BTreeMap::new())?)
+    fn channel(&mut self, topic: &str, name: &str, schema: &Value) -> u16 {
+        self.file.channel(topic, name, &schema.to_string())
     }
 
     /// Nanoseconds since 1970.
@@ -63,18 +57,15 @@ impl Log<'_> {
         self.track.begins_us * 1000 + (sample.time_s * 1e9) as u64
     }
 
-    fn put(&mut self, channel_id: u16, sample: &TrackSample, message: &Value) -> Result<()> {
+    fn put(&mut self, channel: u16, sample: &TrackSample, message: &Value) {
         let time = self.nanoseconds(sample);
-        let sequence = self.sequences.entry(channel_id).or_default();
-        *sequence += 1;
-        let header = MessageHeader { channel_id, sequence: *sequence, log_time: time, publish_time: time };
-        Ok(self.writer.write_to_known_channel(&header, message.to_string().as_bytes())?)
+        self.file.message(channel, time, message.to_string().as_bytes());
     }
 
-    fn vehicle(&mut self, system: u8) -> Result<()> {
+    fn vehicle(&mut self, system: u8) {
         let track = self.track;
-        let locations = self.channel(&format!("/vehicle_{system}/location"), "foxglove.LocationFix", &location_schema())?;
-        let poses = self.channel(&format!("/vehicle_{system}/pose"), "foxglove.PoseInFrame", &pose_schema())?;
+        let locations = self.channel(&format!("/vehicle_{system}/location"), "foxglove.LocationFix", &location_schema());
+        let poses = self.channel(&format!("/vehicle_{system}/pose"), "foxglove.PoseInFrame", &pose_schema());
         for sample in track.samples.iter().filter(|sample| sample.system == system) {
             let time = self.nanoseconds(sample);
             let stamp = json!({ "sec": time / 1_000_000_000, "nsec": time % 1_000_000_000 });
@@ -84,7 +75,7 @@ impl Log<'_> {
                 "latitude": latitude, "longitude": longitude, "altitude": sample.heights_m[0],
                 "position_covariance": [0.0; 9], "position_covariance_type": 0,
             });
-            self.put(locations, sample, &location)?;
+            self.put(locations, sample, &location);
             let [north, east] = sample.local_m;
             if north.is_finite() && east.is_finite() {
                 let pose = json!({
@@ -94,10 +85,9 @@ impl Log<'_> {
                         "orientation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
                     },
                 });
-                self.put(poses, sample, &pose)?;
+                self.put(poses, sample, &pose);
             }
         }
-        Ok(())
     }
 
     /// The records with the names and units that `record.jsonl` has.
@@ -106,26 +96,23 @@ impl Log<'_> {
         if track.records.is_empty() {
             return Ok(());
         }
-        let channel = self.channel("/record", "crpl.Record", &json!({ "title": "crpl.Record", "type": "object" }))?;
+        let channel = self.channel("/record", "crpl.Record", &json!({ "title": "crpl.Record", "type": "object" }));
         for (record, sample) in track.records.iter().zip(&track.samples) {
-            self.put(channel, sample, &serde_json::to_value(record)?)?;
+            self.put(channel, sample, &serde_json::to_value(record)?);
         }
         Ok(())
     }
 }
 
-/// The flight as MCAP, without compression.
+/// The flight as MCAP.
 pub fn mcap(track: &FlightTrack) -> Result<Vec<u8>> {
-    let options = WriteOptions::new().compression(None).library(format!("gcs {}", crate::revision()));
-    let mut log = Log { writer: options.create(Cursor::new(Vec::new()))?, track, sequences: BTreeMap::new() };
+    let mut log = Log { file: McapLog::new(&format!("gcs {}", crate::revision())), track };
     if let Some(scenario) = &track.scenario {
-        let metadata = BTreeMap::from([("config.toml".to_owned(), toml::to_string(scenario)?)]);
-        log.writer.write_metadata(&Metadata { name: "scenario".into(), metadata })?;
+        log.file.metadata("scenario", &[("config.toml", &toml::to_string(scenario)?)]);
     }
     for system in track.systems() {
-        log.vehicle(system)?;
+        log.vehicle(system);
     }
     log.records()?;
-    log.writer.finish().context("finishing MCAP")?;
-    Ok(log.writer.into_inner().into_inner())
+    Ok(log.file.finish())
 }

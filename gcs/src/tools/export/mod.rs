@@ -5,10 +5,12 @@
 //! | [`track`] | a flight from a run folder or a tlog |
 //! | `table` | CSV and Parquet |
 //! | `maps` | GPX and GeoJSON |
-//! | `foxglove` | MCAP |
+//! | `foxglove` | the messages that Foxglove knows, as MCAP |
+//! | `mcap` | that container |
 
 mod foxglove;
 mod maps;
+mod mcap;
 mod table;
 pub mod track;
 

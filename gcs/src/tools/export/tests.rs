@@ -79,20 +79,6 @@ fn a_gpx_track_reads_back() {
 }
 
 #[test]
-fn an_mcap_log_reads_back() {
-    let bytes = ExportFormat::Mcap.bytes(&flown()).unwrap();
-    let mut topics = std::collections::BTreeMap::<String, usize>::new();
-    for message in mcap::MessageStream::new(&bytes).unwrap() {
-        let message = message.unwrap();
-        let value: serde_json::Value = serde_json::from_slice(&message.data).unwrap();
-        assert!(value.is_object());
-        *topics.entry(message.channel.topic.clone()).or_default() += 1;
-    }
-    let found: Vec<(&str, usize)> = topics.iter().map(|(topic, n)| (topic.as_str(), *n)).collect();
-    assert_eq!(found, [("/record", 10), ("/vehicle_1/location", 10), ("/vehicle_1/pose", 10)]);
-}
-
-#[test]
 fn rerun_s_own_format_is_refused_with_the_way_to_go() {
     let error = ExportFormat::Rrd.bytes(&flown()).unwrap_err().to_string();
     assert!(error.contains("--to mcap"), "{error}");
