@@ -6,6 +6,7 @@
 //! | [`renamed`] | words of the command line that have changed |
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
+//! | [`columns`] | tables that fit the terminal |
 //! | [`common`] | flags and subcommands of all three programs: log, completions, manual pages |
 //! | [`files`] | files that are whole or absent |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
@@ -16,6 +17,7 @@
 
 pub mod camera;
 pub mod cli;
+pub mod columns;
 pub mod common;
 pub mod files;
 pub mod fleet;

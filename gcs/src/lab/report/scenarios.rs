@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use crpl_model::evaluation::chart::{self, Chart, Series, Sheet};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::columns as layout;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::sim::metric::{self, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
@@ -241,15 +242,7 @@ impl Flown {
     pub fn text(&self, verdicts: &[VerdictRow]) -> String {
         let mut text = format!("Scenario {}, no gusts, no packet loss\n", self.number);
         text += &rows::text(verdicts);
-        let rows = self.rows();
-        let head = head();
-        let width = |n: usize| rows.iter().chain([&head]).map(|r| r[n].len()).max().unwrap_or(0);
-        let line = |cells: &[String]| {
-            let cells = cells.iter().enumerate().map(|(n, cell)| format!("  {cell:>w$}", w = width(n)));
-            cells.collect::<String>() + "\n"
-        };
-        text += &line(&head);
-        text + &rows.iter().map(|row| line(row)).collect::<String>()
+        text + &layout::table(&head(), &self.rows(), layout::width())
     }
 
     /// The rows as comma-separated values.
