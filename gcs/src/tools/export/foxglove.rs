@@ -73,7 +73,7 @@ impl Log<'_> {
             let location = json!({
                 "timestamp": stamp, "frame_id": "earth",
                 "latitude": latitude, "longitude": longitude, "altitude": sample.heights_m[0],
-                "position_covariance": [0.0; 9], "position_covariance_type": 0,
+                "position_covariance": vec![0.0; 9], "position_covariance_type": 0,
             });
             self.put(locations, sample, &location);
             let [north, east] = sample.local_m;
