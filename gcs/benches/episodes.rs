@@ -36,7 +36,7 @@ fn shares(models: &Models, scenario: &Scenario) {
     let contender = Contender::new(models, Controller::Crpl, scenario).expect("the shipped policy");
     let [mut whole, mut render, mut encode] = [Duration::ZERO; 3];
     for seed in 0..flights {
-        let records = timed(&mut whole, || contender.records(seed));
+        let records = timed(&mut whole, || contender.records(seed).expect("a flight"));
         let scenes: Vec<Sim> = records
             .iter()
             .map(|record| {

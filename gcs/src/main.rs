@@ -21,7 +21,7 @@ use crpl_gcs::lab::{
 use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::Controller;
 use crpl_gcs::tools::identity::Identity;
-use crpl_gcs::tools::{bridge, encode, key, link, mission, param, replay, tlog};
+use crpl_gcs::tools::{bridge, encode, export, key, link, mission, param, replay, tlog};
 use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
@@ -83,6 +83,8 @@ enum GcsCommand {
     Mission(mission::Missions),
     /// Send a recorded flight to whoever watches
     Replay(replay::Replay),
+    /// Write a flight as a table, a track on a map, or a log for Foxglove
+    Export(export::ExportArgs),
     /// Look into telemetry logs, cut and merge them
     Tlog(tlog::TlogArgs),
     /// Make keys of message signing, and tell them apart
@@ -91,8 +93,17 @@ enum GcsCommand {
     Sitl(crpl_sitl::program::cli::Args),
 }
 
+/// Presets, then examples.
+fn ending(examples: &[&str]) -> String {
+    let examples: String = examples.iter().map(|example| format!("\n  {example}")).collect();
+    format!("{}\n\nExamples:{examples}", presets::table().trim_end())
+}
+
 #[derive(Debug, clap::Args)]
-#[command(after_help = presets::table())]
+#[command(after_help = ending(&[
+    "gcs demo --controller crpl,rcc,ucc",
+    "gcs demo --scenario elsewhere --optimise --seed 7",
+]))]
 struct Demo {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
@@ -115,26 +126,29 @@ struct Demo {
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     /// The vehicle refuses unsigned messages and stores its own key in FILE.1
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Network", long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
     /// Folder for the run folders, one per controller [default: runs/demo, or runs/demo-2 ... where that is taken]
-    #[arg(long, value_name = "DIR", value_parser = folder)]
+    #[arg(help_heading = "Output", long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
     /// Replace the flights that are in these folders
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     overwrite: bool,
     /// Forward the flights to this endpoint, such as udpout:HOST:PORT; repeatable
-    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
+    #[arg(help_heading = "Network", long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: WatchFlags,
     /// Print JSON
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     json: bool,
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = presets::table())]
+#[command(after_help = ending(&[
+    "gcs fly --connect udpout:127.0.0.1:14550 --controller rcc",
+    "gcs fly --connect udpin:0.0.0.0:14550 --vehicle ardupilot --dry-run",
+]))]
 struct Fly {
     /// Scenario: TOML file or preset, which must be the vehicle's [default: the vehicle's own, or foreign for a
     /// foreign autopilot]
@@ -152,13 +166,13 @@ struct Fly {
     #[arg(long, value_enum, default_value = "sitl")]
     vehicle: VehicleKind,
     /// System id of the vehicle [default: the only one on the link; of a foreign one, the first that is heard]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    #[arg(help_heading = "Network", long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
     /// Height of a foreign vehicle's flight above its start, m [default: the scenario's]
-    #[arg(long, value_name = "METRES", value_parser = positive)]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "METRES", value_parser = positive)]
     altitude: Option<f64>,
     /// Side of the square that a foreign vehicle flies in, m [default: the scenario's]
-    #[arg(long, value_name = "METRES", value_parser = positive)]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "METRES", value_parser = positive)]
     field: Option<f64>,
     /// Where the upper edge of a foreign vehicle's field lies, degrees clockwise from north
     #[arg(long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
@@ -167,19 +181,19 @@ struct Fly {
     #[arg(long, value_enum, default_value = "hold")]
     end: WhenOver,
     /// Say where a foreign vehicle would fly, and end
-    #[arg(long)]
+    #[arg(help_heading = "Foreign vehicles", long)]
     dry_run: bool,
     /// Fly a foreign vehicle higher than 50 m, further than 150 m or faster than 10 m/s
-    #[arg(long)]
+    #[arg(help_heading = "Foreign vehicles", long)]
     yes: bool,
     /// Speed of a foreign vehicle's simulator relative to real time
-    #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Network", long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
     /// How long to wait for the vehicle, for its first report, and for any next one
-    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    #[arg(help_heading = "Network", long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
     timeout: u64,
     /// Who flies
     #[command(flatten)]
@@ -191,19 +205,19 @@ struct Fly {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
     /// Run folder [default: runs/flight, or runs/flight-2 ... where that is taken]
-    #[arg(long, value_name = "DIR", value_parser = folder)]
+    #[arg(help_heading = "Output", long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
     /// Replace the flight that is in this folder
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     overwrite: bool,
     /// Forward the flight to this endpoint, such as udpout:HOST:PORT; an operator there can take over by a
     /// change of mode; repeatable
-    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
+    #[arg(help_heading = "Network", long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: SteerFlags,
     /// Print JSON
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     json: bool,
 }
 
@@ -394,6 +408,7 @@ fn main() -> ExitCode {
         GcsCommand::Param(args) => terminal::block_on(param::run(args)),
         GcsCommand::Mission(args) => terminal::block_on(mission::run(args)),
         GcsCommand::Replay(args) => terminal::block_on(replay::run(args)),
+        GcsCommand::Export(args) => export::run(&args),
         GcsCommand::Tlog(args) => tlog::run(&args),
         GcsCommand::Key(args) => key::run(&args),
         GcsCommand::Sitl(args) => terminal::block_on(crpl_sitl::program::cli::run(args)),

@@ -14,12 +14,16 @@ PACKAGES = {
     "duckdb": "1.5.6",  # reads a sweep's Parquet
     "dronekit2": "3.0.0",
     "fastcrc": "0.5.0",  # pymavlink's checksums
+    "gpxpy": "1.6.2",  # reads an exported track
     "lxml": "6.1.3",  # pymavlink's
+    "lz4": "4.4.5",  # mcap's
     "mavproxy": "1.8.75",
     "mavsdk": "4.1.0",  # its C++ library is in the wheel
+    "mcap": "1.3.0",  # reads an exported log
     "pillow": "12.3.0",  # opens the vehicle's pictures
     "pymavlink": "2.4.50",
     "pyserial": "3.5",  # MAVProxy's
+    "zstandard": "0.25.0",  # mcap's
 }
 PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
 MACHINES = ["x86_64", "aarch64"]

@@ -51,7 +51,7 @@ fn versions_name_the_revision() {
 /// Help that a terminal of 80 columns shows without breaking its lines, and each default once.
 #[test]
 fn help_fits_80_columns() {
-    let gcs = "demo fly record episodes optimise check sweep merge report bridge link param mission replay sitl tlog key";
+    let gcs = "demo fly record episodes optimise check sweep merge report bridge link param mission replay export sitl tlog key";
     let model = "collect train predictors adapt ablate robustness evaluate";
     let commands = [("sitl", ""), ("gcs", gcs), ("model", model)];
     for (name, subcommands) in commands {
@@ -67,4 +67,59 @@ fn help_fits_80_columns() {
             }
         }
     }
+}
+
+#[test]
+fn a_mistyped_word_is_answered_with_what_was_meant() {
+    for (command, wrong, meant) in [
+        ("gcs", "dmeo", "did you mean demo?"),
+        ("gcs demo", "--contrler=rcc", "did you mean --controller?"),
+        ("gcs demo", "--controller=crp", "did you mean crpl"),
+        ("sitl", "--sede=1", "did you mean --seed?"),
+        ("model", "evalute", "did you mean evaluate?"),
+    ] {
+        let (code, told) = refused(command, &[wrong]);
+        assert!(code == Some(2) && told.contains(meant), "{command} {wrong}: {told}");
+        assert_eq!(told.lines().count(), 1, "{told}");
+    }
+}
+
+#[test]
+fn completions_and_manual_pages_come_with_the_programs() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, page) in [("sitl", "sitl.1"), ("gcs", "gcs-demo.1"), ("model", "model-train.1")] {
+        for shell in ["bash", "zsh", "fish"] {
+            let text = program::run(name, &["completions", shell]).unwrap().good().unwrap();
+            assert!(text.contains(name) && text.contains("quiet"), "{name} {shell}");
+        }
+        let out = dir.path().join(name);
+        program::run(name, &["man", "--out", out.to_str().unwrap()]).unwrap().good().unwrap();
+        assert!(std::fs::read_to_string(out.join(page)).unwrap().contains(".SH OPTIONS"), "{page}");
+    }
+}
+
+/// First use, F2: 14 lines with module paths, microseconds and `severity=6` before a 0.1 s demo's table.
+#[test]
+fn the_log_is_short_quiet_or_json() {
+    let dir = tempfile::tempdir().unwrap();
+    let demo = |flags: &[&str], out: &str| {
+        let out = dir.path().join(out);
+        let args = [&["demo", "--controller", "rcc", "--out", out.to_str().unwrap()], flags].concat();
+        let finished = program::run("gcs", &args).unwrap();
+        assert!(finished.status.success(), "{}", finished.stderr);
+        finished.stderr
+    };
+    let told = demo(&[], "plain");
+    assert!(told.contains("vehicle: outage begins") && told.contains("WARN"), "{told}");
+    for word in ["crpl_", "::", "severity"] {
+        assert!(!told.contains(word), "{word}: {told}");
+    }
+    assert_eq!(demo(&["-q"], "quiet"), "");
+    let lines = demo(&["--log", "json"], "json");
+    assert!(!lines.is_empty());
+    for line in lines.lines() {
+        let event: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert!(event["level"].is_string() && event["message"].is_string(), "{line}");
+    }
+    assert!(demo(&["-v"], "verbose").contains("DEBUG"));
 }

@@ -219,11 +219,13 @@ fn a_report_is_one_page_that_needs_nothing_else() {
     assert!(said.contains("d_f: rcc over crpl at 2.5") && said.contains("not flown"), "{said}");
     let report = dir.path().join("report");
     let names: Vec<String> = bytes(&report).into_iter().map(|(name, _)| name).collect();
-    let figures = ["bandwidth.csv", "bandwidth.png", "bandwidth.svg", "bandwidth.txt"];
-    assert_eq!(names, [&figures[..], &["index.html", "verdicts.csv"]].concat());
+    let tables = ["bandwidth.csv", "bandwidth.pdf", "bandwidth.png", "bandwidth.svg", "bandwidth.txt"];
+    let others = ["bandwidth_points.csv", "index.html", "redraw.py", "verdicts.csv"];
+    assert_eq!(names, [&tables[..], &others].concat());
     let page = std::fs::read_to_string(report.join("index.html")).unwrap();
     assert_eq!(page.matches("<svg").count(), Metric::of_paper().count());
-    for outside in ["<script", "<img", "<link", "url(", "@import"] {
+    assert_eq!(page.matches("<script").count(), 1, "that which sorts the tables");
+    for outside in [" src=", "<img", "<link", "url(", "@import"] {
         assert!(!page.contains(outside), "{outside}");
     }
     let points = std::fs::read(dir.path().join("points.csv")).unwrap();

@@ -37,11 +37,13 @@ use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::splitter::Counts;
 use crpl_sitl::link::wire::Clock;
 use crpl_sitl::link::{AUTOPILOT, GPS};
+use crpl_sitl::program::progress;
 use crpl_sitl::program::shell::Backoff;
 use crpl_sitl::program::terminal::{Signal, interrupted};
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::scenario::CollisionAction;
 use crpl_sitl::units::{Tick, TxPower};
+use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 use tokio::time::{Instant, interval, sleep};
 
@@ -389,7 +391,7 @@ pub async fn fly_on(
                         shell.repeat().await;
                     }
                     RemoteEvent::Text(severity, text) => {
-                        tracing::info!(severity, "vehicle: {text}");
+                        log_text(severity, &text);
                         crew.heard(severity, &text);
                     }
                     RemoteEvent::News(news) => news.log(),
@@ -406,6 +408,16 @@ pub async fn fly_on(
                 }
             }
         }
+    }
+}
+
+/// What the vehicle says, as loud as it says it (MAV_SEVERITY).
+fn log_text(severity: u8, text: &str) {
+    match severity {
+        0..=3 => tracing::error!("vehicle: {text}"),
+        4 => tracing::warn!("vehicle: {text}"),
+        5 | 6 => tracing::info!("vehicle: {text}"),
+        _ => tracing::debug!("vehicle: {text}"),
     }
 }
 
@@ -428,6 +440,8 @@ struct FlightShell<'a> {
     /// The powers of our last commands, newest last.
     powers: VecDeque<TxPower>,
     steering: PageSteering,
+    /// How the flight is going, for who looks on.
+    line: ProgressBar,
     flight: Flight,
 }
 
@@ -452,6 +466,7 @@ impl<'a> FlightShell<'a> {
             sent: BTreeMap::new(),
             powers: VecDeque::new(),
             steering: PageSteering::new(options.steering.as_ref().and_then(RequestQueue::take)),
+            line: progress::live("flight", options.ticks.unwrap_or(scenario.horizon)),
             flight: Flight::default(),
         })
     }
@@ -501,7 +516,22 @@ impl<'a> FlightShell<'a> {
         self.last_percept = arrived;
         self.flight.wall = arrived - first;
         self.log_place(percept, first_tick);
+        self.show(percept);
         tracing::debug!(tick = percept.telemetry.tick.0, "percept");
+    }
+
+    /// Tick, way to the goal, and the radio, in the live line.
+    fn show(&self, percept: &Percept) {
+        let (telemetry, scale) = (&percept.telemetry, &self.scenario.scale);
+        let away =
+            (scale.paper_from_ned(telemetry.position) - self.scenario.goal).norm() * scale.metres_per_unit;
+        let radio = telemetry.link.map_or_else(String::new, |link| {
+            let power = if link.power == TxPower::High { "high" } else { "low" };
+            let outage = if link.outage { ", OUTAGE" } else { "" };
+            format!(", SNR {:.0} dB, {power} power{outage}", link.snr_db)
+        });
+        self.line.set_position(telemetry.tick.0);
+        self.line.set_message(format!("{away:.0} m to go{radio}"));
     }
 
     /// The log counts by the flight's own time, so that it lasts as long in lockstep as in real time; and if the
@@ -658,6 +688,7 @@ impl<'a> FlightShell<'a> {
         if !matches!(ended, FlightEnd::Over | FlightEnd::TakenOver) {
             tracing::warn!("the flight ends: {why}");
         }
+        self.line.finish_and_clear();
         self.hub.close().await;
         let suppressed_setpoints =
             self.flight.suppressed_setpoints.max(self.hub.router().suppressed_setpoints());

@@ -1,5 +1,6 @@
-//! The folder of one flight: `config.toml` (the resolved scenario), `record.jsonl`, `flight.tlog`, `path.svg`,
-//! `path.png`, `flight.html` (the flight as a page), and `run.json` (seed, revision, command line, policy, end and summary).
+//! The folder of one flight: `config.toml` (the resolved scenario), `record.jsonl`, `flight.tlog`, the figure `path`
+//! (`.svg`, `.pdf`, `.png`, its points as CSV), `flight.html` (the flight as a page) and `run.json` (seed, revision,
+//! command line, policy, end and summary).
 //!
 //! A folder holds one flight. It is made when the flight begins, grows with it, and says in `run.json` how the
 //! flight has ended; while that is `null`, it has not. What cannot be written, on a full disk for one, is said
@@ -68,8 +69,17 @@ impl RunManifest {
 }
 
 /// The files of a flight.
-const FILES: [&str; 7] =
-    ["config.toml", "run.json", "record.jsonl", "flight.tlog", "path.svg", "path.png", "flight.html"];
+const FILES: [&str; 9] = [
+    "config.toml",
+    "run.json",
+    "record.jsonl",
+    "flight.tlog",
+    "path.svg",
+    "path.pdf",
+    "path.png",
+    "path_points.csv",
+    "flight.html",
+];
 
 /// Fresh folders that are tried.
 const TRIES: usize = 10_000;
@@ -185,8 +195,8 @@ impl RunFolder {
             if self.manifest.is_mismatched() {
                 title += ", policy of another world";
             }
-            let path = FlightPath { title, records, scenario: &self.scenario, size: FlightPath::ALONE };
-            if let Err(error) = chart::save(&path, &self.dir, "path") {
+            let path = FlightPath { title, records, scenario: &self.scenario, panel: false };
+            if let Err(error) = chart::save(&path.chart(), &self.dir, "path") {
                 self.fail("path", &error.into());
             }
         }

@@ -3,6 +3,7 @@
 pub mod bridge;
 pub mod command;
 pub mod encode;
+pub mod export;
 pub mod fleet;
 pub mod identity;
 pub mod key;

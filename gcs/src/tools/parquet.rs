@@ -118,6 +118,18 @@ impl Values<'_> {
         }
     }
 
+    /// One value as text; a number that is none is empty.
+    #[must_use]
+    pub fn cell(&self, row: usize) -> String {
+        match self {
+            Self::Integers(v) => v[row].to_string(),
+            Self::Reals(v) if v[row].is_nan() => String::new(),
+            Self::Reals(v) => v[row].to_string(),
+            Self::Booleans(v) => v[row].to_string(),
+            Self::Texts(v) => v[row].to_owned(),
+        }
+    }
+
     fn write(&self, writer: &mut SerializedColumnWriter<'_>) -> Result<()> {
         match self {
             Self::Integers(v) => writer.typed::<Int64Type>().write_batch(v, None, None)?,

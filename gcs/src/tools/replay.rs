@@ -26,6 +26,7 @@ use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::tlog::LogFrame;
 use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_SYSTEM};
+use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{interrupted, speed};
 use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
 use crpl_sitl::sim::record::Record;
@@ -49,7 +50,8 @@ const GCS: u8 = 6;
 /// Flags of `gcs replay`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Replay {
-    /// A run folder, or a flight.tlog or record.jsonl
+    /// Run folder, or a file of one: flight.tlog or record.jsonl; or the tlog of any vehicle
+    #[arg(value_name = "RUN")]
     file: PathBuf,
     /// Endpoints to send to: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
     #[arg(long, value_name = "ENDPOINT", num_args = 1.., required_unless_present = "watch")]
@@ -75,7 +77,7 @@ pub type Script = Vec<(Duration, Vec<u8>)>;
 /// # Errors
 /// A log that does not read, and an endpoint that cannot be opened.
 pub async fn run(args: Replay) -> Result<()> {
-    let file = log_in(&args.file);
+    let file = log_of(&args.file, &["flight.tlog", "record.jsonl"])?;
     let script = script(&file, args.all)?;
     let mut interrupted = pin!(interrupted());
     let mut hub = Hub::default();
@@ -98,8 +100,11 @@ pub async fn run(args: Replay) -> Result<()> {
             }
         }
     }
+    let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
+    let line = progress::live("replay", lasted.as_secs());
     let start = Instant::now();
     for (after, bytes) in &script {
+        line.set_position(after.as_secs());
         let due =
             start.checked_add(after.div_f64(args.speed)).context("the log lasts too long at this speed")?;
         let pause = due.saturating_duration_since(Instant::now());
@@ -120,7 +125,7 @@ pub async fn run(args: Replay) -> Result<()> {
             shown.play(*after, bytes);
         }
     }
-    let lasted = script.last().map_or(Duration::ZERO, |(after, _)| *after);
+    line.finish_and_clear();
     hub.close().await;
     crpl_sitl::outln!("{} datagrams of {:.1} s sent", script.len(), lasted.as_secs_f64());
     if let Some(mut page) = page {
@@ -128,12 +133,6 @@ pub async fn run(args: Replay) -> Result<()> {
         page.leave().await;
     }
     Ok(())
-}
-
-/// The log of a run folder, if this is one.
-fn log_in(path: &Path) -> PathBuf {
-    let names = ["flight.tlog", "record.jsonl"].map(|name| path.join(name));
-    names.into_iter().find(|log| log.is_file()).unwrap_or_else(|| path.into())
 }
 
 /// What a page shows of a replay.
@@ -246,8 +245,42 @@ pub fn from_tlog(bytes: &[u8], all: bool) -> Result<Script> {
     Ok(frames.map(|(after, frame)| (*after, frame.packet.raw.to_vec())).collect())
 }
 
+/// The records of a run folder's `record.jsonl`.
+///
+/// # Errors
+/// A line is no record; the error names it.
+pub fn records(text: &str) -> Result<Vec<Record>> {
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    lines.map(|(k, line)| serde_json::from_str(line).with_context(|| format!("line {}", k + 1))).collect()
+}
+
+/// The log to read in a run folder; a file is itself.
+///
+/// # Errors
+/// A folder that holds no flight.
+pub fn log_of(path: &Path, wanted: &[&str]) -> Result<PathBuf> {
+    if !path.is_dir() {
+        return Ok(path.into());
+    }
+    if let Some(file) = wanted.iter().map(|name| path.join(name)).find(|file| file.is_file()) {
+        return Ok(file);
+    }
+    let is_run = |dir: &PathBuf| wanted.iter().any(|name| dir.join(name).is_file());
+    let inside = std::fs::read_dir(path).with_context(|| format!("reading {}", path.display()))?;
+    let mut runs: Vec<PathBuf> = inside.filter_map(|entry| Some(entry.ok()?.path())).filter(is_run).collect();
+    runs.sort();
+    let names: Vec<String> = runs.iter().map(|dir| dir.display().to_string()).collect();
+    match names.as_slice() {
+        [] => bail!("{}: no flight in it (none of {})", path.display(), wanted.join(", ")),
+        [..] => bail!("{}: it holds several run folders; name one: {}", path.display(), names.join(", ")),
+    }
+}
+
 /// The scenario that a run folder holds beside its records, else the paper's.
-fn scenario_beside(path: &Path) -> Result<Scenario> {
+///
+/// # Errors
+/// It does not read.
+pub fn scenario_beside(path: &Path) -> Result<Scenario> {
     let beside = path.with_file_name("config.toml");
     if beside.is_file() {
         return Ok(Scenario::load(&beside)?);
@@ -265,8 +298,7 @@ pub fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
     let (mut autopilot, mut radio) = (Encoder::new(1, AUTOPILOT), Encoder::new(1, RADIO));
     let mut script = Script::new();
     let mut next_beat = 0.0;
-    for (k, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        let record: Record = serde_json::from_str(line).with_context(|| format!("line {}", k + 1))?;
+    for (k, record) in records(text)?.into_iter().enumerate() {
         let seconds = record.tick.0 as f64 * scenario.scale.interval_s;
         if seconds > LONGEST_RECORD_S {
             bail!("line {}: tick {} is no flight's", k + 1, record.tick.0);
@@ -286,7 +318,8 @@ pub fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
 }
 
 /// What the vehicle reported at the end of an interval.
-fn report(record: &Record, scenario: &Scenario) -> Telemetry {
+#[must_use]
+pub fn report(record: &Record, scenario: &Scenario) -> Telemetry {
     let (scale, a_max) = (&scenario.scale, scenario.dynamics.a_max);
     let accel = scale.ned_from_paper_acceleration(record.flown * a_max);
     Telemetry {

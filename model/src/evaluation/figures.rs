@@ -3,9 +3,9 @@
 
 use std::path::Path;
 
-use crate::evaluation::chart::{self, Chart, Legend, PlotError, Series, Style};
+use crate::evaluation::chart::{self, Chart, PlotError, Series, Style};
 use crate::evaluation::report::Measured;
-use crate::evaluation::rollout::{Errors, Forecaster, LONGEST, RolloutStart};
+use crate::evaluation::rollout::{Errors, Forecaster, LONGEST, RolloutErrors, RolloutStart};
 use crate::numeric::statistics::quantile;
 use crate::predictor::PredictorKind;
 
@@ -20,19 +20,26 @@ const PAPER: [(Forecaster, &str, f64, f64); 3] = [
 const HUES: [usize; 3] = [0, 3, 1];
 const GREY: usize = 7;
 
-/// Draws `fig3a`, `fig3b`, `moving` and `reliability` as SVG and PNG in `dir`.
+/// Draws `fig3a`, `fig3b`, `moving` and `reliability` in `dir`, each in every format.
 ///
 /// # Errors
 /// If a figure cannot be drawn or written.
 pub fn draw(measured: &Measured, dir: &Path) -> Result<(), PlotError> {
-    chart::save(&within(measured), dir, "fig3a")?;
-    chart::save(&distribution(measured), dir, "fig3b")?;
+    let [within, distribution] = fig3(&measured.errors);
+    chart::save(&within, dir, "fig3a")?;
+    chart::save(&distribution, dir, "fig3b")?;
     chart::save(&moving(measured), dir, "moving")?;
     chart::save(&reliability(measured), dir, "reliability")
 }
 
-fn errors(measured: &Measured, name: Forecaster, start: RolloutStart) -> &[Vec<f64>] {
-    let found = measured.errors.iter().find(|(n, s, _)| *n == name && *s == start);
+/// Figs. 3(a) and 3(b) from the errors of rollouts, l1 in px.
+#[must_use]
+pub fn fig3(measured: &[RolloutErrors]) -> [Chart; 2] {
+    [within(measured), distribution(measured)]
+}
+
+fn errors(measured: &[RolloutErrors], name: Forecaster, start: RolloutStart) -> &[Vec<f64>] {
+    let found = measured.iter().find(|(n, s, _)| *n == name && *s == start);
     found.map_or(&[], |(_, _, e)| e.as_slice())
 }
 
@@ -44,42 +51,41 @@ fn shares(errors: &[Vec<f64>], px: f64) -> Vec<(f64, f64)> {
 }
 
 /// Fig. 3(a): share of rollouts from rest within 1 and 5 px over the look-ahead.
-fn within(measured: &Measured) -> Chart {
+fn within(measured: &[RolloutErrors]) -> Chart {
     let mut series = Vec::new();
     for (colour, (name, word, p1, _)) in HUES.into_iter().zip(PAPER) {
         let e = errors(measured, name, RolloutStart::Rest);
         series.push(Series::line(format!("{word}, 1 px"), colour, shares(e, 1.0)));
         series.push(Series::line(format!("{word}, 5 px"), colour, shares(e, 5.0)).styled(Style::Dashed));
         let theirs = vec![(LONGEST as f64, p1)];
-        series.push(Series::line(format!("{word}, 1 px, paper"), colour, theirs).styled(Style::Cross));
+        series.push(Series::line(format!("{word}, 1 px, paper"), colour, theirs).styled(Style::Diamond));
     }
     Chart {
         title: "Fig. 3(a): rollouts from rest, share of errors up to 1 and 5 px".into(),
-        x: "look-ahead H, intervals".into(),
-        y: "share".into(),
+        x: "look-ahead H, control intervals".into(),
+        y: "share of rollouts with e ≤ 1 or 5 px".into(),
         x_range: Some([0.0, 103.0]),
         y_range: Some([0.0, 1.02]),
-        legend: Legend::LowerLeft,
         series,
         ..Chart::default()
     }
 }
 
 /// Fig. 3(b): distribution of the error after 1 and after 100 steps from rest.
-fn distribution(measured: &Measured) -> Chart {
+fn distribution(measured: &[RolloutErrors]) -> Chart {
     let mut series = Vec::new();
     for (colour, (name, word, _, p90)) in HUES.into_iter().zip(PAPER) {
         let e = errors(measured, name, RolloutStart::Rest);
         series.push(Series::line(format!("{word}, H = 100"), colour, cdf(e, LONGEST)));
         series.push(Series::line(format!("{word}, H = 1"), colour, cdf(e, 1)).styled(Style::Dashed));
         let theirs = vec![(p90, 0.9)];
-        series.push(Series::line(format!("{word}, H = 100, paper"), colour, theirs).styled(Style::Cross));
+        series.push(Series::line(format!("{word}, H = 100, paper"), colour, theirs).styled(Style::Diamond));
     }
-    series.push(Series::line("all, H = 1, paper", GREY, vec![(0.2, 0.9)]).styled(Style::Cross));
+    series.push(Series::line("all, H = 1, paper", GREY, vec![(0.2, 0.9)]).styled(Style::Diamond));
     Chart {
         title: "Fig. 3(b): error after 1 and after 100 steps from rest".into(),
-        x: "l1 error, px (logarithmic)".into(),
-        y: "share of rollouts below".into(),
+        x: "l1 error of the position e, px".into(),
+        y: "share of rollouts with a smaller error".into(),
         x_range: Some([0.005, 50.0]),
         y_range: Some([0.0, 1.02]),
         log_x: true,
@@ -102,13 +108,13 @@ fn moving(measured: &Measured) -> Chart {
         (Forecaster::ConstantVelocity, "constant velocity"),
     ];
     let series = HUES.into_iter().zip(named).map(|(colour, (name, word))| {
-        let e: &Errors = &errors(measured, name, RolloutStart::Moving).to_vec();
+        let e: &Errors = &errors(&measured.errors, name, RolloutStart::Moving).to_vec();
         Series::line(word, colour, shares(e, 1.0))
     });
     Chart {
         title: "Rollouts from a moving UAV, share of errors up to 1 px".into(),
-        x: "look-ahead H, intervals".into(),
-        y: "share".into(),
+        x: "look-ahead H, control intervals".into(),
+        y: "share of rollouts with e ≤ 1 px".into(),
         x_range: Some([0.0, 103.0]),
         y_range: Some([0.0, 1.02]),
         series: series.collect(),
@@ -120,8 +126,8 @@ fn reliability(measured: &Measured) -> Chart {
     let bins = measured.report.heads.reliability.iter().map(|(p, t, _)| (*p, *t)).collect();
     Chart {
         title: format!("Collision head on frames, ECE {:.4}", measured.report.heads.ece),
-        x: "predicted probability".into(),
-        y: "true probability, mean of the bin".into(),
+        x: "predicted collision probability, mean of the bin".into(),
+        y: "true collision probability, mean of the bin".into(),
         x_range: Some([0.0, 1.0]),
         y_range: Some([0.0, 1.0]),
         series: vec![

@@ -11,7 +11,7 @@ use crate::encoder::weights::vector;
 use crate::evaluation::hard::{self, HardReport};
 use crate::evaluation::robustness::{self, RobustnessRow};
 use crate::evaluation::rollout::{
-    self, Errors, Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutRow, RolloutStart, Trajectory,
+    self, Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutErrors, RolloutRow, RolloutStart, Trajectory,
 };
 use crate::evaluation::{Judged, decoded, judged};
 use crate::heads::labels::{self, BaseStation, Scene, auc, calibration_error};
@@ -33,6 +33,12 @@ pub struct ReportConfig {
     pub window: usize,
     /// Camera of the trajectories.
     pub camera: String,
+}
+
+impl Default for ReportConfig {
+    fn default() -> Self {
+        Self { seed: 0, trajectories: 1000, frames: 6000, window: 20, camera: "clean".into() }
+    }
 }
 
 /// What was measured.
@@ -141,7 +147,19 @@ pub struct Measured {
     /// What is printed.
     pub report: EvaluationReport,
     /// Errors of every predictor from every start, on trajectories that stay in the frame and below v_max.
-    pub errors: Vec<(Forecaster, RolloutStart, Errors)>,
+    pub errors: Vec<RolloutErrors>,
+}
+
+/// The rollouts of Fig. 3 alone: from rest, by every predictor.
+#[must_use]
+pub fn from_rest(
+    model: &WorldModel,
+    networks: &Networks,
+    config: &ReportConfig,
+    scenario: &Scenario,
+) -> Vec<RolloutErrors> {
+    let (panel, noise) = (Panel::new(model, networks, scenario), Noise::new(config.seed ^ EVALUATION));
+    Forecasts::of(&panel, RolloutStart::Rest, Selection::Free, config, scenario, &noise, || ()).errors
 }
 
 /// Measures; `tick` is called for every encoded trajectory.
@@ -199,7 +217,7 @@ struct Forecasts {
     count: Acceptance,
     trajectories: Vec<Trajectory>,
     known: Vec<Known>,
-    errors: Vec<(Forecaster, RolloutStart, Errors)>,
+    errors: Vec<RolloutErrors>,
 }
 
 impl Forecasts {

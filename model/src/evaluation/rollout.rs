@@ -399,6 +399,9 @@ impl Known {
 /// l1 errors of the decoded position, px: one list a trajectory, one entry a step.
 pub type Errors = Vec<Vec<f64>>;
 
+/// Errors of one forecaster from one start.
+pub type RolloutErrors = (Forecaster, RolloutStart, Errors);
+
 /// l1 distance of the decoded latents to the true places, px.
 #[must_use]
 pub fn off(model: &WorldModel, path: &[Vector2<f64>], truth: &[Vector2<f64>]) -> Vec<f64> {

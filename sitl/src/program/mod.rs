@@ -7,19 +7,25 @@
 //! | [`air`] | `--radio`: everything through the air |
 //! | [`camera`] | `--camera` |
 //! | [`cli`] | flags to a running vehicle |
+//! | [`columns`] | tables that fit the terminal |
+//! | [`common`] | flags and subcommands of all three programs: log, completions, manual pages |
 //! | [`files`] | files that are whole or absent |
 //! | [`flight_log`] | the folder of a flight as the vehicle knows it |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
-//! | [`progress`] | progress bars |
+//! | [`log`] | the log on stderr |
+//! | [`progress`] | progress bars, and lines where there is no terminal |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
 pub mod air;
 pub mod camera;
 pub mod cli;
+pub mod columns;
+pub mod common;
 pub mod files;
 pub mod fleet;
 pub mod flight_log;
+pub mod log;
 pub mod progress;
 pub mod renamed;
 pub mod shell;

@@ -6,7 +6,7 @@
 //! takes one line.
 
 use std::future::Future;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,18 +15,29 @@ use anyhow::{Context, Result};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, Parser};
 
-use super::renamed;
+use super::{common, renamed};
 use crate::link::endpoint::Endpoint;
 
 /// A whole program: parses the flags, starts the log, does `work`, and tells an error. `revision` is that of
 /// the program, for `--version`.
 pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> ExitCode {
-    let args = match P::try_parse() {
-        Ok(args) => args,
-        Err(error) => return usage(&P::command(), revision, &error, std::env::args().skip(1)),
+    let program = common::with_common(P::command());
+    let parsed = program.clone().try_get_matches().and_then(|matches| {
+        let is_ours = matches!(matches.subcommand_name(), Some("completions" | "man"));
+        // Completions and manual pages need none of the program's own flags.
+        let args = if is_ours { None } else { Some(P::from_arg_matches(&matches)?) };
+        Ok((args, matches))
+    });
+    let (args, matches) = match parsed {
+        Ok(parsed) => parsed,
+        Err(error) => return usage(&program, revision, &error, std::env::args().skip(1)),
     };
-    log();
-    match work(args) {
+    common::log_choice(&matches).begin();
+    let done = match args {
+        Some(args) => work(args),
+        None => common::pages(&program, &matches).unwrap_or(Ok(())),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let line = one_line(&error);
@@ -128,19 +139,6 @@ pub fn block_on<T>(work: impl Future<Output = Result<T>>) -> Result<T> {
     runtime.context("starting the runtime")?.block_on(work)
 }
 
-/// Logs to stderr, from level info on unless RUST_LOG says otherwise; colours on a terminal only.
-fn log() {
-    tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
-        )
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        // A reader that has gone away is no reason to stop, and telling it of that is impossible.
-        .log_internal_errors(false)
-        .init();
-}
-
 /// Prints help or version as clap does, the version with the revision; a wrong flag in one line.
 fn usage(
     program: &Command,
@@ -172,7 +170,22 @@ fn complaint(program: &Command, error: &clap::Error, args: impl Iterator<Item = 
     }
     let text = error.render().to_string();
     let first: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
-    first.join(" ")
+    first.join(" ") + &suggestion(error)
+}
+
+/// What was perhaps meant.
+fn suggestion(error: &clap::Error) -> String {
+    let kinds = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
+    let meant: Vec<String> = kinds
+        .iter()
+        .filter_map(|kind| error.get(*kind))
+        .flat_map(|value| match value {
+            ContextValue::String(word) => vec![word.clone()],
+            ContextValue::Strings(words) => words.clone(),
+            _ => Vec::new(),
+        })
+        .collect();
+    if meant.is_empty() { String::new() } else { format!("; did you mean {}?", meant.join(" or ")) }
 }
 
 /// The program's name and the subcommand's, if `args` name one.
@@ -368,7 +381,8 @@ mod tests {
             assert_eq!(complaint_about(args), "error: --config is now --scenario FILE|NAME", "{args:?}");
         }
         assert_eq!(complaint_about(&["--speedup", "2"]), "error: --speedup is now --speed X");
-        assert!(complaint_about(&["--sped", "2"]).starts_with("error: unexpected argument '--sped'"));
+        let line = complaint_about(&["--sped", "2"]);
+        assert_eq!(line, "error: unexpected argument '--sped' found; did you mean --speed?");
         let line = complaint_about(&["--speed", "0"]);
         assert!(line.contains("--speed <X>") && line.contains("must be a number above 0"), "{line}");
     }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series, Style};
+use crpl_model::evaluation::chart::{self, Chart, Legend, Series, Sheet, Style};
 use crpl_model::numeric::statistics::{Mean, wilson};
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::progress;
@@ -230,11 +230,11 @@ fn save(dir: &std::path::Path, rows: &[FleetRow]) -> Result<()> {
     let path = dir.join("fleet.csv");
     std::fs::write(&path, csv).with_context(|| format!("writing {}", path.display()))?;
     let panels = [
-        panel("share of intervals without a command", rows, |row| &row.outage, Legend::UpperRight),
+        panel("share of intervals without a command", rows, |row| &row.outage, Legend::Below),
         panel("d_f", rows, |row| &row.d_f, Legend::None),
         panel("collisions of vehicles in a flight", rows, |row| &row.collisions, Legend::None),
     ];
-    chart::save(&Grid { figures: &panels, columns: 3 }, dir, "fleet")?;
+    chart::save(Sheet { charts: &panels, columns: 3 }, dir, "fleet")?;
     Ok(())
 }
 

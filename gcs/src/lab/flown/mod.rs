@@ -17,7 +17,6 @@ use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::{Scenario, out, outln};
 use serde_json::json;
 
-use overlay::Overlay;
 use read::FlownFlight;
 
 /// Flags of `gcs score`.
@@ -96,9 +95,9 @@ pub fn compare(args: &Compare) -> Result<()> {
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
     let all: Vec<&FlownFlight> = flights.iter().map(|scored| &scored.flight).collect();
-    chart::save(&Overlay { flights: &all }, &args.out, "compare")?;
+    chart::save(&overlay::overlay(&first.flight.scenario, &all), &args.out, "compare")?;
     if !args.score.json {
-        outln!("compare.svg and compare.png in {}", args.out.display());
+        outln!("compare.svg, .pdf and .png in {}", args.out.display());
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `gcs report`: the paper's figures as one page that needs nothing else, and as SVG, PNG, CSV and text.
+//! `gcs report`: the paper's figures as one page that needs nothing else, and as SVG, PDF, PNG, CSV and text.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -21,8 +21,11 @@ pub mod verdict;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use crpl_model::evaluation::chart;
-use plotters::style::RGBColor;
+use crpl_model::evaluation::report::{self as measure, ReportConfig};
+use crpl_model::evaluation::{chart, figures};
+use crpl_model::predictor::Networks;
+use crpl_model::world_model::WorldModel;
+use crpl_sitl::Scenario;
 
 use crpl_sitl::program::flight_log;
 use crpl_sitl::program::terminal::StopSignal;
@@ -43,6 +46,9 @@ const SWEEPS: [(&str, &str, &str); 3] = [
     ("configs/sweep_sigma.toml", include_str!("../../../presets/sweep_sigma.toml"), ""),
     ("configs/sweep_sigma_literal.toml", include_str!("../../../presets/sweep_sigma_literal.toml"), LITERAL),
 ];
+
+/// Trajectories of Fig. 3 on the page.
+const ROLLOUTS: usize = 300;
 
 /// Why the paper's largest σ_c cannot be meant literally.
 const LITERAL: &str = "Read literally, σ_c = 0.01 is a gust of 0.01 on the speed in each axis and interval. The largest acceleration is \
@@ -70,12 +76,6 @@ pub struct Report {
     /// Folder of the report [default: runs/report, or DIR/report]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-}
-
-/// Colour of the nth controller for a style sheet.
-fn rgb(n: usize) -> String {
-    let RGBColor(r, g, b) = chart::colour(n);
-    format!("rgb({r},{g},{b})")
 }
 
 /// Runs `gcs report`.
@@ -108,7 +108,7 @@ pub fn run(args: &Report) -> Result<()> {
         rows.extend(scenarios(&mut page, &out, &mut models, args)?);
         if args.what == "all" {
             rows.extend(all_sweeps(&mut page, &out, &mut models, args)?);
-            rows.extend(rollouts(&mut page));
+            rows.extend(rollouts(&mut page, &out)?);
             crpl_sitl::outln!("{}", rows::counts(&rows));
         }
     }
@@ -194,11 +194,21 @@ fn show(finished: &Finished, page: &mut Page, out: &Path, words: &str) -> Result
     Ok(verdicts)
 }
 
-/// Fig. 3 needs no flight: the page names the command that measures it.
-fn rollouts(page: &mut Page) -> Vec<VerdictRow> {
+/// Fig. 3: the shipped world model's rollouts from rest, drawn; its verdicts name the command that measures more.
+fn rollouts(page: &mut Page, out: &Path) -> Result<Vec<VerdictRow>> {
     let rows: Vec<VerdictRow> = VerdictRow::of_rollouts().collect();
     page.section("Rollouts (Fig. 3)");
-    page.text("Measured by model evaluate, which prints the paper's numbers beside ours.");
+    page.text(&format!(
+        "The shipped world model's rollouts from rest, {ROLLOUTS} trajectories of clean frames; diamonds are the paper's \
+         numbers. model evaluate measures more of them, and prints the paper's numbers beside ours."
+    ));
+    let (model, networks) = (WorldModel::embedded()?, Networks::embedded()?);
+    let config = ReportConfig { trajectories: ROLLOUTS, ..ReportConfig::default() };
+    let figures = figures::fig3(&measure::from_rest(&model, &networks, &config, &Scenario::default()));
+    page.figures(&figures.each_ref().map(|figure| (chart::svg(figure), figure.title.clone())));
+    for (figure, stem) in figures.iter().zip(["fig3a", "fig3b"]) {
+        chart::save(figure, out, stem)?;
+    }
     page.verdicts(&rows);
-    rows
+    Ok(rows)
 }

@@ -1,5 +1,5 @@
-//! One self-contained HTML page: pictures inline, no script, no request to anywhere; readable on a
-//! phone, in light and in dark.
+//! One self-contained HTML page: pictures inline, no request to anywhere; readable on a phone, in light and in
+//! dark. Its one script sorts the tables by the column whose head is pressed; without it they stand as they are.
 
 use std::fmt::Write;
 
@@ -27,8 +27,20 @@ th:first-child,td:first-child,td.text{text-align:left}
 .nothing td:nth-child(1){color:var(--soft)}.nothing td:nth-child(1)::before{content:\"0\"}
 .contradicts td:nth-child(1){color:var(--bad)}.contradicts td:nth-child(1)::before{content:\"\\d7\"}
 .missing td{color:var(--soft);font-style:italic}
-.key span{display:inline-block;margin-right:1.2rem}.key i{display:inline-block;width:1.1em;height:.25em;margin-right:.4em;vertical-align:middle}
+th button{all:unset;cursor:pointer}th button:focus-visible{outline:2px solid}
+th[aria-sort=ascending] button::after{content:\" \\25b4\"}th[aria-sort=descending] button::after{content:\" \\25be\"}
 pre{overflow-x:auto;font-size:.8rem;border:1px solid var(--line);padding:.6rem}";
+
+/// Numbers sort as numbers, by the first in a cell.
+const SCRIPT: &str = "\
+for(const table of document.querySelectorAll('table'))table.querySelectorAll('thead th').forEach((head,n)=>{
+const button=document.createElement('button');button.type='button';button.textContent=head.textContent;head.replaceChildren(button);
+button.onclick=()=>{const up=head.getAttribute('aria-sort')!=='ascending',body=table.tBodies[0];
+table.querySelectorAll('thead th').forEach(h=>h.removeAttribute('aria-sort'));
+head.setAttribute('aria-sort',up?'ascending':'descending');
+const key=row=>{const text=row.cells[n].textContent.trim(),value=parseFloat(text);return Number.isNaN(value)?text:value};
+const order=(a,b)=>typeof a===typeof b?(a<b?-1:a>b?1:0):typeof a==='number'?-1:1;
+body.append(...[...body.rows].sort((a,b)=>(up?1:-1)*order(key(a),key(b))))}});";
 
 /// A page that grows from top to bottom.
 #[derive(Debug, Clone)]
@@ -57,8 +69,11 @@ impl Page {
     /// Claims of the paper, each with its verdict: told by sign and word, so colour is not needed.
     pub fn verdicts(&mut self, rows: &[VerdictRow]) {
         let heads = ["verdict", "paper", "ours [95 %]", "section", "quantity"];
-        let heads: String = heads.iter().map(|head| format!("<th>{head}</th>")).collect();
-        let _ = writeln!(self.body, "<div class=\"wide\"><table class=\"verdicts\"><tr>{heads}</tr>");
+        let heads: String = heads.iter().map(|head| format!("<th scope=\"col\">{head}</th>")).collect();
+        let _ = writeln!(
+            self.body,
+            "<div class=\"wide\"><table class=\"verdicts\"><thead><tr>{heads}</tr></thead><tbody>"
+        );
         for row in rows {
             let class = row.verdict().map_or("missing", Verdict::class);
             let _ = write!(self.body, "<tr class=\"{class}\">");
@@ -67,7 +82,7 @@ impl Page {
             }
             self.body.push_str("</tr>\n");
         }
-        self.body.push_str("</table></div>\n");
+        self.body.push_str("</tbody></table></div>\n");
         self.text(&format!("{}. {}.", rows::counts(rows), rows::UNDECIDED));
     }
 
@@ -81,26 +96,17 @@ impl Page {
         self.body.push_str("</div>\n");
     }
 
-    /// Which colour is what: name and `rgb(...)`.
-    pub fn key(&mut self, names: &[(String, String)]) {
-        self.body.push_str("<p class=\"key\">");
-        for (name, colour) in names {
-            let name = escape(name);
-            let _ = write!(self.body, "<span><i style=\"background:{colour}\"></i>{name}</span>");
-        }
-        self.body.push_str("</p>\n");
-    }
-
     /// A table that can be pushed sideways on a narrow screen.
     pub fn table(&mut self, head: &[String], rows: &[Vec<String>]) {
-        let cells = |tag: &str, cells: &[String]| {
-            cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect::<String>()
+        let cells = |tag: &str, end: &str, cells: &[String]| {
+            cells.iter().map(|cell| format!("<{tag}>{}</{end}>", escape(cell))).collect::<String>()
         };
-        let _ = writeln!(self.body, "<div class=\"wide\"><table><tr>{}</tr>", cells("th", head));
+        let head = cells("th scope=\"col\"", "th", head);
+        let _ = writeln!(self.body, "<div class=\"wide\"><table><thead><tr>{head}</tr></thead><tbody>");
         for row in rows {
-            let _ = writeln!(self.body, "<tr>{}</tr>", cells("td", row));
+            let _ = writeln!(self.body, "<tr>{}</tr>", cells("td", "td", row));
         }
-        self.body.push_str("</table></div>\n");
+        self.body.push_str("</tbody></table></div>\n");
     }
 
     /// Text as it is, folded away.
@@ -116,7 +122,7 @@ impl Page {
         format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <title>{title}</title>\n<style>\n{STYLE}\n</style>\n<h1>{title}</h1>\n{body}</html>\n"
+             <title>{title}</title>\n<style>\n{STYLE}\n</style>\n<main>\n<h1>{title}</h1>\n{body}</main>\n<script>\n{SCRIPT}\n</script>\n</html>\n"
         )
     }
 }
@@ -141,7 +147,8 @@ mod tests {
             html.contains("<title>a &lt; b</title>") && html.contains("&lt;script&gt;1&lt;/script&gt; &amp;")
         );
         assert!(html.contains("<svg></svg>") && html.contains("<td>&lt;v&gt;</td>"));
-        for outside in ["http", "src=", "<script", "@import"] {
+        assert_eq!(html.matches("<script").count(), 1, "that which sorts the tables");
+        for outside in ["http", "src=", "@import"] {
             assert!(!html.contains(outside), "{outside}");
         }
     }

@@ -4,8 +4,9 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series};
+use crpl_model::evaluation::chart::{self, Chart, Series, Sheet};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::columns as layout;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::sim::metric::{self, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::sim::record::Record;
@@ -15,7 +16,6 @@ use rayon::prelude::*;
 use super::claims;
 use super::page::Page;
 use super::quantities::{FlightQuantity, Subject};
-use super::rgb;
 use super::rows::{self, VerdictRow};
 use crate::lab::Contender;
 use crate::lab::figures::FlightPath;
@@ -242,15 +242,7 @@ impl Flown {
     pub fn text(&self, verdicts: &[VerdictRow]) -> String {
         let mut text = format!("Scenario {}, no gusts, no packet loss\n", self.number);
         text += &rows::text(verdicts);
-        let rows = self.rows();
-        let head = head();
-        let width = |n: usize| rows.iter().chain([&head]).map(|r| r[n].len()).max().unwrap_or(0);
-        let line = |cells: &[String]| {
-            let cells = cells.iter().enumerate().map(|(n, cell)| format!("  {cell:>w$}", w = width(n)));
-            cells.collect::<String>() + "\n"
-        };
-        text += &line(&head);
-        text + &rows.iter().map(|row| line(row)).collect::<String>()
+        text + &layout::table(&head(), &self.rows(), layout::width())
     }
 
     /// The rows as comma-separated values.
@@ -262,9 +254,10 @@ impl Flown {
 
     /// SNR and collision probability over time.
     fn panels(&self) -> Vec<Chart> {
-        let panel = |title: &str, of: &dyn Fn(&Record) -> (f64, f64), level: (&str, f64)| Chart {
+        let panel = |title: &str, y: &str, of: &dyn Fn(&Record) -> (f64, f64), level: (&str, f64)| Chart {
             title: format!("Scenario {}: {title}", self.number),
-            x: "control interval k".into(),
+            x: "time k, control intervals".into(),
+            y: y.into(),
             series: self
                 .flights
                 .iter()
@@ -272,15 +265,20 @@ impl Flown {
                 .map(|(n, f)| Series::line(f.controller.to_string(), n, f.records.iter().map(of).collect()))
                 .collect(),
             levels: vec![(level.0.into(), level.1)],
-            legend: Legend::UpperRight,
             panel: true,
             ..Chart::default()
         };
         let least = Snr(self.scenario.channel.snr_min).to_db();
         vec![
-            panel("SNR, dB", &|r| (r.tick.0 as f64, f64::from(r.snr_db)), ("γ_min", least)),
+            panel(
+                "signal-to-noise ratio",
+                "SNR γ, dB",
+                &|r| (r.tick.0 as f64, f64::from(r.snr_db)),
+                ("γ_min", least),
+            ),
             panel(
                 "collision probability",
+                "collision probability p_coll",
                 &|r| ((r.tick.0 + 1) as f64, r.p_coll),
                 ("δ1", self.scenario.safety.collision_tolerance),
             ),
@@ -295,37 +293,24 @@ impl Flown {
         let number = self.number;
         page.section(&format!("Scenario {number}: paths, SNR and risk"));
         page.text(
-            "No gusts, every packet gets through. Grey is the obstacle's radio shadow, blue is low transmit \
-             power, red is high. k counts control intervals.",
+            "No gusts, every packet gets through. Grey is the obstacle's radio shadow, open circles are low transmit \
+             power, filled ones high. k counts control intervals.",
         );
         page.verdicts(verdicts);
         let paths = self.flights.iter().map(|f| FlightPath {
-            title: f.controller.to_string(),
+            title: format!("{}, Scenario {number}", f.controller),
             records: &f.records,
             scenario: &self.scenario,
-            size: FlightPath::PANEL,
+            panel: true,
         });
-        let paths: Vec<FlightPath<'_>> = paths.collect();
-        let svgs: Vec<(String, String)> = paths
-            .iter()
-            .map(|path| Ok((chart::svg(path)?, format!("{}, Scenario {number}", path.title))))
-            .collect::<Result<_>>()?;
-        page.figures(&svgs);
+        let paths: Vec<Chart> = paths.map(|path| path.chart()).collect();
         let panels = self.panels();
-        let svgs: Vec<(String, String)> =
-            panels.iter().map(|p| Ok((chart::svg(p)?, p.title.clone()))).collect::<Result<_>>()?;
-        page.key(
-            &self
-                .flights
-                .iter()
-                .enumerate()
-                .map(|(n, f)| (f.controller.to_string(), rgb(n)))
-                .collect::<Vec<_>>(),
-        );
-        page.figures(&svgs);
+        for charts in [&paths, &panels] {
+            page.figures(&charts.iter().map(|c| (chart::svg(c), c.title.clone())).collect::<Vec<_>>());
+        }
         page.table(&head(), &self.rows());
-        chart::save(&Grid { figures: &paths, columns: 4 }, dir, &format!("scenario{number}_paths"))?;
-        chart::save(&Grid { figures: &panels, columns: 2 }, dir, &format!("scenario{number}_snr_risk"))?;
+        chart::save(Sheet { charts: &paths, columns: 2 }, dir, &format!("scenario{number}_paths"))?;
+        chart::save(Sheet { charts: &panels, columns: 2 }, dir, &format!("scenario{number}_snr_risk"))?;
         super::write(dir, &format!("scenario{number}.csv"), &self.csv())
     }
 }

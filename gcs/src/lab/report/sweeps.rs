@@ -4,13 +4,12 @@
 use std::path::Path;
 
 use anyhow::Result;
-use crpl_model::evaluation::chart::{self, Chart, Grid, Legend, Series, Style};
+use crpl_model::evaluation::chart::{self, Chart, Series, Sheet, Style};
 use crpl_sitl::sim::metric::Metric;
 
 use super::claims::{self, Claim};
 use super::page::Page;
 use super::quantities::SweepQuantity;
-use super::rgb;
 use super::rows::{self, VerdictRow};
 use super::verdict::Said;
 use crate::lab::sweep::episode::SweepEpisode;
@@ -18,6 +17,26 @@ use crate::lab::sweep::folder::Folder;
 use crate::lab::sweep::plan::SweepPlan;
 use crate::lab::sweep::table::{self, TableRow};
 use crate::station::pilot::Controller;
+
+/// Name, symbol and unit of a sweep's axis: of the paper's axes; else the key.
+fn axis_name(key: &str) -> String {
+    match key {
+        "radio.b_dt" => "bandwidth times interval B Δt, Hz s".into(),
+        "disturbance.sigma_c" => "gusts σ_c, field widths per interval".into(),
+        key => key.to_owned(),
+    }
+}
+
+/// Name, symbol and unit of a metric.
+fn metric_name(metric: Metric) -> String {
+    let unit = match metric {
+        Metric::TerminalDistance => "field widths",
+        Metric::TransmitEnergy => "power levels times intervals",
+        Metric::Outages => "intervals",
+        metric => metric.unit(),
+    };
+    if unit.is_empty() { metric.symbol().to_owned() } else { format!("{}, {unit}", metric.symbol()) }
+}
 
 /// A finished sweep with its table.
 #[derive(Debug)]
@@ -89,20 +108,20 @@ impl Finished {
             let n = plan.controllers.iter().position(|c| *c == controller)?;
             let crpl = self.row(x, Controller::Crpl)?.means[metric].mean;
             let at = (x, paper * crpl.max(metric.floor()));
-            Some(Series::line("", n, vec![at]).styled(Style::Hollow))
+            Some(Series::line("the paper's ratio times our crpl", n, vec![at]).styled(Style::Diamond))
         });
         let curves = plan.controllers.iter().enumerate().map(curve);
         Chart {
-            title: format!("{}, {}", metric.symbol(), metric.title()),
-            x: match plan.uncovered.as_slice() {
-                [] => plan.axis.clone(),
+            title: match plan.uncovered.as_slice() {
+                [] => metric.title().to_owned(),
                 points => {
                     let at: Vec<String> = points.iter().map(|point| point.x.to_string()).collect();
-                    format!("{} (crpl outside its policy's world at {})", plan.axis, at.join(", "))
+                    format!("{} (crpl outside its policy's world at {})", metric.title(), at.join(", "))
                 }
             },
+            x: axis_name(&plan.axis),
+            y: metric_name(metric),
             series: curves.chain(marks).collect(),
-            legend: if metric == Metric::ALL[0] { Legend::UpperRight } else { Legend::None },
             panel: true,
             ..Chart::default()
         }
@@ -135,21 +154,13 @@ impl Finished {
             page.text(table::uncovered(plan).trim());
         }
         page.verdicts(verdicts);
-        let key = |(n, c): (usize, &Controller)| (c.to_string(), rgb(n));
-        page.key(&plan.controllers.iter().enumerate().map(key).collect::<Vec<_>>());
         let panels = self.panels();
-        let svgs: Vec<(String, String)> = panels
-            .iter()
-            .map(|panel| {
-                let marked = panel.series.iter().any(|s| s.style == Style::Hollow);
-                let paper = if marked { "; hollow: the paper's ratio times our crpl" } else { "" };
-                Ok((chart::svg(panel)?, format!("{}{paper}", panel.title)))
-            })
-            .collect::<Result<_>>()?;
+        let svgs: Vec<(String, String)> =
+            panels.iter().map(|panel| (chart::svg(panel), panel.title.clone())).collect();
         page.figures(&svgs);
         self.tables(page);
         page.folded("The resolved sweep", &toml::to_string(plan)?);
-        chart::save(&Grid { figures: &panels, columns: 3 }, dir, &plan.name)?;
+        chart::save(Sheet { charts: &panels, columns: 3 }, dir, &plan.name)?;
         super::write(dir, &format!("{}.csv", plan.name), &table::csv(plan, &self.rows))?;
         super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows))
     }

@@ -107,7 +107,7 @@ fn show(args: &ShowScenario) -> Result<()> {
     }
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-        chart::save(&draw::WorldPicture(&scenario), dir, "scenario")?;
+        chart::save(&draw::picture(&scenario), dir, "scenario")?;
         if !args.json {
             outln!("scenario.svg and scenario.png in {}", dir.display());
         }

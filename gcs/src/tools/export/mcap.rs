@@ -1,0 +1,171 @@
+//! The MCAP container (<https://mcap.dev/spec>), as much of it as a finished flight needs: one chunk without compression,
+//! its index, and a summary. Ours, because the crate of this name would have burn compiled anew.
+
+use std::collections::BTreeMap;
+
+const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+
+/// What a record is.
+#[derive(Debug, Clone, Copy)]
+enum Opcode {
+    Header = 0x01,
+    Footer = 0x02,
+    Schema = 0x03,
+    Channel = 0x04,
+    Message = 0x05,
+    Chunk = 0x06,
+    MessageIndex = 0x07,
+    ChunkIndex = 0x08,
+    Statistics = 0x0B,
+    Metadata = 0x0C,
+    DataEnd = 0x0F,
+}
+
+/// The content of a record; numbers are little-endian.
+#[derive(Debug, Clone, Default)]
+struct Content(Vec<u8>);
+
+impl Content {
+    fn raw(mut self, bytes: &[u8]) -> Self {
+        self.0.extend_from_slice(bytes);
+        self
+    }
+
+    fn u16(self, value: u16) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    fn u32(self, value: u32) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    fn u64(self, value: u64) -> Self {
+        self.raw(&value.to_le_bytes())
+    }
+
+    /// Bytes behind their number.
+    fn sized(self, bytes: &[u8]) -> Self {
+        self.u32(bytes.len() as u32).raw(bytes)
+    }
+
+    fn text(self, text: &str) -> Self {
+        self.sized(text.as_bytes())
+    }
+
+    fn texts(self, map: &[(&str, &str)]) -> Self {
+        let pairs = map.iter().fold(Self::default(), |all, (key, value)| all.text(key).text(value));
+        self.sized(&pairs.0)
+    }
+
+    /// Appends it as a record.
+    fn write(self, out: &mut Vec<u8>, opcode: Opcode) {
+        out.push(opcode as u8);
+        out.extend_from_slice(&(self.0.len() as u64).to_le_bytes());
+        out.extend_from_slice(&self.0);
+    }
+}
+
+/// A log in memory.
+#[derive(Debug, Default)]
+pub struct McapLog {
+    /// Header and metadata.
+    head: Vec<u8>,
+    metadata: u32,
+    /// Schemas and channels, which stand in the chunk and in the summary.
+    channels: Vec<u8>,
+    count: u16,
+    messages: Vec<u8>,
+    /// Time and place in `messages` of each message, by channel.
+    index: BTreeMap<u16, Vec<(u64, u64)>>,
+}
+
+impl McapLog {
+    /// An empty log, written by this program.
+    #[must_use]
+    pub fn new(library: &str) -> Self {
+        let mut head = MAGIC.to_vec();
+        Content::default().text("").text(library).write(&mut head, Opcode::Header);
+        Self { head, ..Self::default() }
+    }
+
+    /// Notes beside the messages.
+    pub fn metadata(&mut self, name: &str, notes: &[(&str, &str)]) {
+        Content::default().text(name).texts(notes).write(&mut self.head, Opcode::Metadata);
+        self.metadata += 1;
+    }
+
+    /// A topic of JSON messages with their schema; gives the channel's number.
+    pub fn channel(&mut self, topic: &str, name: &str, schema: &str) -> u16 {
+        self.count += 1;
+        let id = self.count;
+        let schema = Content::default().u16(id).text(name).text("jsonschema").text(schema);
+        schema.write(&mut self.channels, Opcode::Schema);
+        let channel = Content::default().u16(id).u16(id).text(topic).text("json").texts(&[]);
+        channel.write(&mut self.channels, Opcode::Channel);
+        self.index.insert(id, Vec::new());
+        id
+    }
+
+    /// A message of a time, ns since 1970.
+    pub fn message(&mut self, channel: u16, time: u64, data: &[u8]) {
+        let index = self.index.entry(channel).or_default();
+        index.push((time, self.messages.len() as u64));
+        let head = Content::default().u16(channel).u32(index.len() as u32).u64(time).u64(time);
+        head.raw(data).write(&mut self.messages, Opcode::Message);
+    }
+
+    /// The first time and the last; zeros without a message.
+    fn times(&self) -> (u64, u64) {
+        let times = || self.index.values().flatten().map(|(time, _)| *time);
+        (times().min().unwrap_or_default(), times().max().unwrap_or_default())
+    }
+
+    /// The whole file.
+    #[must_use]
+    pub fn finish(self) -> Vec<u8> {
+        let (first, last) = self.times();
+        let mut out = self.head.clone();
+        let records = [self.channels.as_slice(), &self.messages].concat();
+        let size = records.len() as u64;
+        let chunk_at = out.len() as u64;
+        let chunk = Content::default().u64(first).u64(last).u64(size).u32(0).text("").u64(size).raw(&records);
+        chunk.write(&mut out, Opcode::Chunk);
+        let indices_at = out.len() as u64;
+        let mut places = Content::default();
+        for (channel, messages) in &self.index {
+            places = places.u16(*channel).u64(out.len() as u64);
+            let shift = self.channels.len() as u64;
+            let mut entries: Vec<(u64, u64)> =
+                messages.iter().map(|(time, at)| (*time, at + shift)).collect();
+            entries.sort_unstable();
+            let entries = entries.iter().fold(Content::default(), |all, (time, at)| all.u64(*time).u64(*at));
+            Content::default().u16(*channel).sized(&entries.0).write(&mut out, Opcode::MessageIndex);
+        }
+        let indices = out.len() as u64 - indices_at;
+        Content::default().u32(0).write(&mut out, Opcode::DataEnd);
+        let summary_at = out.len() as u64;
+        out.extend_from_slice(&self.channels);
+        self.statistics(first, last).write(&mut out, Opcode::Statistics);
+        let chunk_index = Content::default().u64(first).u64(last).u64(chunk_at).u64(indices_at - chunk_at);
+        let chunk_index = chunk_index.sized(&places.0).u64(indices).text("").u64(size).u64(size);
+        chunk_index.write(&mut out, Opcode::ChunkIndex);
+        Content::default().u64(summary_at).u64(0).u32(0).write(&mut out, Opcode::Footer);
+        out.extend_from_slice(&MAGIC);
+        out
+    }
+
+    fn statistics(&self, first: u64, last: u64) -> Content {
+        let counts = self.index.iter().map(|(channel, messages)| (*channel, messages.len() as u64));
+        let each =
+            counts.clone().fold(Content::default(), |all, (channel, count)| all.u16(channel).u64(count));
+        let all = counts.map(|(_, count)| count).sum();
+        let head = Content::default()
+            .u64(all)
+            .u16(self.count)
+            .u32(self.count.into())
+            .u32(0)
+            .u32(self.metadata)
+            .u32(1);
+        head.u64(first).u64(last).sized(&each.0)
+    }
+}

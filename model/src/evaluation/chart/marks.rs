@@ -1,0 +1,87 @@
+//! The mark of each series: shapes, filled and hollow, that differ without colour.
+
+use super::{Series, Style};
+
+/// A shape around the origin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Shape {
+    Disc,
+    Square,
+    Triangle,
+    Diamond,
+    Cross,
+}
+
+/// The shapes of lines' marks by the index of their colour, and whether they are filled.
+const SHAPES: [(Shape, bool); 8] = [
+    (Shape::Disc, true),
+    (Shape::Square, false),
+    (Shape::Triangle, true),
+    (Shape::Disc, false),
+    (Shape::Square, true),
+    (Shape::Diamond, false),
+    (Shape::Diamond, true),
+    (Shape::Triangle, false),
+];
+
+/// Shape, whether it is filled, and its radius in px.
+fn shape_of(series: &Series) -> (Shape, bool, f64) {
+    match series.style {
+        Style::Cross => (Shape::Cross, false, 5.0),
+        Style::Dot => (Shape::Disc, true, 3.6),
+        Style::Ring => (Shape::Disc, false, 3.0),
+        Style::Diamond => (Shape::Diamond, false, 8.0),
+        Style::Triangle => (Shape::Triangle, true, 8.0),
+        Style::Square => (Shape::Square, true, 2.5),
+        Style::Line | Style::Dotted | Style::Dashed | Style::Thin | Style::Area => {
+            let (shape, filled) = SHAPES[series.colour % SHAPES.len()];
+            (shape, filled, 4.0)
+        }
+    }
+}
+
+/// The series' mark at a place in px, as an element of SVG.
+pub fn mark(series: &Series, (x, y): (f64, f64)) -> String {
+    let (shape, filled, r) = shape_of(series);
+    let rgb = series.rgb();
+    let paint = if filled {
+        format!("fill=\"{rgb}\"")
+    } else {
+        let inside = if shape == Shape::Cross { "none" } else { "white" };
+        format!("fill=\"{inside}\" stroke=\"{rgb}\" stroke-width=\"1.6\"")
+    };
+    let corners = |corners: &[(f64, f64)]| {
+        let places: Vec<String> =
+            corners.iter().map(|(dx, dy)| format!("{:.2} {:.2}", x + r * dx, y + r * dy)).collect();
+        format!("<path d=\"M{}Z\" {paint}/>", places.join("L"))
+    };
+    match shape {
+        Shape::Disc => format!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{r}\" {paint}/>"),
+        Shape::Square => corners(&[(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)]),
+        Shape::Triangle => corners(&[(0.0, -1.1), (1.0, 0.75), (-1.0, 0.75)]),
+        Shape::Diamond => corners(&[(0.0, -1.1), (0.9, 0.0), (0.0, 1.1), (-0.9, 0.0)]),
+        Shape::Cross => {
+            let (l, t, e, b) = (x - r, y - r, x + r, y + r);
+            format!("<path d=\"M{l:.2} {t:.2}L{e:.2} {b:.2}M{l:.2} {b:.2}L{e:.2} {t:.2}\" {paint}/>")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn marks_of_lines_differ_without_colour() {
+        let marks: Vec<(Shape, bool)> = (0..SHAPES.len())
+            .map(|n| Series { colour: n, ..Series::default() })
+            .map(|s| {
+                let (shape, filled, _) = shape_of(&s);
+                (shape, filled)
+            })
+            .collect();
+        for (n, mark) in marks.iter().enumerate() {
+            assert!(!marks[..n].contains(mark), "{n}");
+        }
+    }
+}
