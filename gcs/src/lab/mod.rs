@@ -5,6 +5,7 @@ pub mod bound;
 pub mod check;
 pub mod crew;
 pub mod demo;
+pub mod environment;
 pub mod episodes;
 pub mod figures;
 pub mod optimise;
