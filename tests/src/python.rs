@@ -12,6 +12,9 @@ use crate::program::{Finished, Program, checked, profile_folder};
 /// The packages, each with its version and the hashes of its wheels.
 const REQUIREMENTS: &str = include_str!("../python/requirements.txt");
 
+/// What builds and tests the Python package.
+const PACKAGE_REQUIREMENTS: &str = include_str!("../python/requirements-package.txt");
+
 /// What stands beside the system's PyTorch.
 const TORCH_REQUIREMENTS: &str = include_str!("../python/requirements-torch.txt");
 
@@ -25,6 +28,14 @@ const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 /// The environment cannot be made.
 pub fn environment() -> Result<PathBuf> {
     made("python", "python3", &[], REQUIREMENTS)
+}
+
+/// An environment with maturin, pytest and what the Python package `crpl` depends on. The package itself is not in it.
+///
+/// # Errors
+/// The environment cannot be made.
+pub fn package_environment() -> Result<PathBuf> {
+    made("python-package", "python3", &[], PACKAGE_REQUIREMENTS)
 }
 
 /// The same with the system's PyTorch, and ONNX Runtime: for [`torch_script`]. A machine without

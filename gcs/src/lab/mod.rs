@@ -6,6 +6,7 @@ pub mod bound;
 pub mod check;
 pub mod crew;
 pub mod demo;
+pub mod environment;
 pub mod episodes;
 pub mod figures;
 pub mod fleet;

@@ -1,0 +1,101 @@
+"""Environment steps a second on one core, beside peers in the same run: python gcs/python/bench.py
+
+A peer that is not installed is left out, and that is said. Figures are medians of the rounds.
+"""
+
+import argparse
+import os
+import statistics
+import time
+
+import gymnasium
+import numpy as np
+
+import crpl
+
+
+def rate(step, flights, seconds, rounds):
+    """Median of environment steps a second over the rounds, each as long as asked for."""
+    rates = []
+    for _ in range(rounds):
+        begin, count = time.perf_counter(), 0
+        while time.perf_counter() - begin < seconds:
+            step()
+            count += flights
+        rates.append(count / (time.perf_counter() - begin))
+    return statistics.median(rates)
+
+
+def vector(obs, flights, **options):
+    env = crpl.make_vec("demo", flights, obs, **options)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (flights, 3)).astype(np.float32)
+    return lambda: env.step(actions)
+
+
+def single(env, action):
+    env.reset(seed=0)
+
+    def step():
+        *_, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+
+    return step
+
+
+def cartpole(flights):
+    env = gymnasium.make_vec("CartPole-v1", num_envs=flights, vectorization_mode="vector_entry_point")
+    env.reset(seed=0)
+    actions = np.zeros(flights, np.int64)
+    return lambda: env.step(actions)
+
+
+def pybullet():
+    from gym_pybullet_drones.envs.HoverAviary import HoverAviary
+
+    env = HoverAviary()
+    return single(env, np.zeros(env.action_space.shape, np.float32))
+
+
+def crazyflow(flights):
+    from crazyflow.sim import Sim
+
+    sim = Sim(n_worlds=flights, device="cpu")
+    sim.reset()
+    sim.step()
+    return lambda: sim.step()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=1.0, help="length of a round")
+    parser.add_argument("--rounds", type=int, default=5)
+    args = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[0]})
+    motionless = np.zeros(3, np.float32)
+    rows = [
+        ("crpl, state, 256 flights", 256, lambda: vector("state", 256)),
+        ("crpl, image, 64 flights", 64, lambda: vector("image", 64)),
+        ("crpl, image, 64 flights, copy=False", 64, lambda: vector("image", 64, copy=False)),
+        ("crpl, latent, 64 flights", 64, lambda: vector("latent", 64)),
+        ("crpl, state, one flight", 1, lambda: single(crpl.make("demo"), motionless)),
+        ("gymnasium CartPole-v1, vectorised, 256", 256, lambda: cartpole(256)),
+        ("gymnasium CartPole-v1, one", 1, lambda: single(gymnasium.make("CartPole-v1"), 0)),
+        ("gym-pybullet-drones HoverAviary, one", 1, pybullet),
+        ("crazyflow, CPU, 256 worlds", 256, lambda: crazyflow(256)),
+    ]
+    print(f"one core, {args.rounds} rounds of {args.seconds} s, revision {crpl.revision()}")
+    for name, flights, make in rows:
+        try:
+            step = make()
+        except ImportError as error:
+            print(f"{name:<42} not installed ({error.name})")
+            continue
+        step()
+        print(f"{name:<42} {rate(step, flights, args.seconds, args.rounds):>12,.0f} steps/s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
