@@ -42,7 +42,7 @@ const VEHICLE: usize = 0;
 /// Flags of `gcs encode`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = presets::table())]
-pub struct Encode {
+pub struct EncodeFlags {
     /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT")]
     vehicle: Endpoint,
@@ -133,7 +133,7 @@ fn is_picture(id: u32) -> bool {
 ///
 /// # Errors
 /// A scenario or model that does not read, an endpoint that cannot be opened.
-pub async fn run(args: Encode) -> Result<()> {
+pub async fn run(args: EncodeFlags) -> Result<()> {
     let scenario = args.camera.scenario(&args.scenario)?;
     let models = Models::load(args.checkpoint.as_deref(), None)?;
     let mut pictures = PictureEncoder::new(&models.world, &scenario, args.bits)?;
