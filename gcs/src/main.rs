@@ -76,7 +76,7 @@ enum GcsCommand {
     /// Put a radio between a vehicle and its tools: slow and lossy as its geometry says
     Link(link::RadioLink),
     /// Encode a vehicle's pictures beside it and send their latents: a companion's half of CRPL
-    Encode(encode::Encode),
+    Encode(encode::EncodeFlags),
     /// List, read, set, load and save a vehicle's parameters
     Param(param::Params),
     /// Upload, download and clear a vehicle's mission

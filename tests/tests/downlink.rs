@@ -33,7 +33,7 @@ fn a_companion_s_latents_fly_the_flight_of_the_pictures() {
     let latents = flown(ground.parse().unwrap(), &folder.path().join("latents"), TICKS);
     assert_eq!((pictures.len(), latents.len()), (25, 25));
     for (a, b) in pictures.iter().zip(&latents) {
-        assert!((a.r_next - b.r_next).norm() < 0.01, "{:?}: {} {}", a.tick, a.r_next, b.r_next);
+        assert!((a.r_next - b.r_next).norm() < 0.02, "{:?}: {} {}", a.tick, a.r_next, b.r_next);
     }
     companion.interrupt().unwrap();
     let told = companion.wait().unwrap().good().unwrap();

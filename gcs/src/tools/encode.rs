@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! vehicle <--> gcs encode <--> radio <--> gcs fly
-//!     picture, 2 to 11 kB     latents, some 80 bytes
+//!     picture, up to 11 kB    latents, some 80 bytes
 //! ```
 //!
 //! Everything else passes byte for byte, both ways. Pictures are asked for here, so requests of the ground go no
@@ -15,7 +15,6 @@ use std::time::Duration;
 use anyhow::Result;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
-use crpl_sitl::link::dialect::{DATA_TRANSMISSION_HANDSHAKE_DATA, ENCAPSULATED_DATA_DATA};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::link::image::{self, Reassembler};
@@ -24,7 +23,8 @@ use crpl_sitl::link::links::{Arrival, BUFFER, Links};
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::splitter::Splitter;
 use crpl_sitl::link::wire::Clock;
-use crpl_sitl::link::{COMPANION, MessageData, PeerId};
+use crpl_sitl::link::{COMPANION, PeerId};
+use crpl_sitl::program::air::is_picture;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::terminal::{interrupted, say};
 use crpl_sitl::scenario::presets;
@@ -42,7 +42,7 @@ const VEHICLE: usize = 0;
 /// Flags of `gcs encode`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = presets::table())]
-pub struct Encode {
+pub struct EncodeFlags {
     /// Endpoint of the vehicle: udpout:HOST:PORT, or udpin, tcpout, tcpin
     #[arg(long, value_name = "ENDPOINT")]
     vehicle: Endpoint,
@@ -125,15 +125,11 @@ impl<'a> PictureEncoder<'a> {
     }
 }
 
-fn is_picture(id: u32) -> bool {
-    id == DATA_TRANSMISSION_HANDSHAKE_DATA::ID || id == ENCAPSULATED_DATA_DATA::ID
-}
-
 /// Encodes until Ctrl-C.
 ///
 /// # Errors
 /// A scenario or model that does not read, an endpoint that cannot be opened.
-pub async fn run(args: Encode) -> Result<()> {
+pub async fn run(args: EncodeFlags) -> Result<()> {
     let scenario = args.camera.scenario(&args.scenario)?;
     let models = Models::load(args.checkpoint.as_deref(), None)?;
     let mut pictures = PictureEncoder::new(&models.world, &scenario, args.bits)?;

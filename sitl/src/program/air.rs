@@ -66,6 +66,12 @@ pub fn set_power<T>(air: &mut Air<T>, power: TxPower) {
     air.set_power(usize::from(power == TxPower::High));
 }
 
+/// Whether a message is part of a picture.
+#[must_use]
+pub fn is_picture(kind: u32) -> bool {
+    kind == DATA_TRANSMISSION_HANDSHAKE_DATA::ID || kind == ENCAPSULATED_DATA_DATA::ID
+}
+
 /// A radio whose sender holds back what is long: one picture at a time, part by part, each when nothing else waits.
 /// A picture that comes while parts of another one wait is left out, and reports never wait for more than a part.
 #[derive(Debug)]
@@ -98,12 +104,11 @@ impl<T> PacedAir<T> {
 
     /// A frame of the message `kind` is handed to its sender.
     pub fn offer(&mut self, now: Duration, way: Way, kind: u32, bytes: usize, frame: T) {
-        let begins = kind == DATA_TRANSMISSION_HANDSHAKE_DATA::ID;
-        if way == Way::Up || !(begins || kind == ENCAPSULATED_DATA_DATA::ID) {
+        if way == Way::Up || !is_picture(kind) {
             self.air.offer(now, way, kind, bytes, frame);
             return;
         }
-        if begins {
+        if kind == DATA_TRANSMISSION_HANDSHAKE_DATA::ID {
             self.skips = !self.is_free();
         }
         if !self.skips {

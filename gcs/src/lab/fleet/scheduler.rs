@@ -67,7 +67,7 @@ pub struct SlotRequest {
 
 /// A slot of an interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Slot {
+pub struct GrantedSlot {
     /// Whose.
     pub vehicle: usize,
     /// Its share of the interval, in (0, 1].
@@ -79,8 +79,8 @@ pub struct Slot {
 impl Scheduler {
     /// The slots of interval `turn`.
     #[must_use]
-    pub fn allot(self, requests: &[SlotRequest], radio: &SharedRadio, turn: u64) -> Vec<Slot> {
-        let slot = |r: &SlotRequest, share| Slot { vehicle: r.vehicle, share, power: r.power };
+    pub fn allot(self, requests: &[SlotRequest], radio: &SharedRadio, turn: u64) -> Vec<GrantedSlot> {
+        let slot = |r: &SlotRequest, share| GrantedSlot { vehicle: r.vehicle, share, power: r.power };
         let n = requests.len();
         match self {
             Self::Tdma => requests.iter().map(|r| slot(r, 1.0 / n as f64)).collect(),
@@ -96,24 +96,27 @@ impl Scheduler {
 /// Stage 2 for several vehicles: the least power at which all packets fit into the interval. All begin at low power;
 /// while the slots do not fit, high power goes where it saves most. What does not fit at high power either is served
 /// by its urgency: the nearest predicted outage, then the longest wait. What is left of the interval widens all slots.
-fn predicted(requests: &[SlotRequest], radio: &SharedRadio) -> Vec<Slot> {
+fn predicted(requests: &[SlotRequest], radio: &SharedRadio) -> Vec<GrantedSlot> {
     let mut order: Vec<&SlotRequest> = requests.iter().collect();
     order.sort_by_key(|r| (r.outage_in.unwrap_or(u32::MAX), std::cmp::Reverse(r.waited), r.vehicle));
-    let mut slots: Vec<Slot> = order
+    let mut slots: Vec<GrantedSlot> = order
         .iter()
         .map(|r| {
             let power = TxPower::Low;
-            Slot { vehicle: r.vehicle, share: radio.share(r.gain, power), power }
+            GrantedSlot { vehicle: r.vehicle, share: radio.share(r.gain, power), power }
         })
         .collect();
-    let saving = |slot: &Slot, gain: f64| slot.share - radio.share(gain, TxPower::High);
+    let saving = |slot: &GrantedSlot, gain: f64| slot.share - radio.share(gain, TxPower::High);
     while total(&slots) > 1.0 {
         let candidates = (0..slots.len()).filter(|k| slots[*k].power == TxPower::Low);
         let most = candidates
             .max_by(|a, b| saving(&slots[*a], order[*a].gain).total_cmp(&saving(&slots[*b], order[*b].gain)));
         let Some(k) = most else { break };
-        slots[k] =
-            Slot { share: radio.share(order[k].gain, TxPower::High), power: TxPower::High, ..slots[k] };
+        slots[k] = GrantedSlot {
+            share: radio.share(order[k].gain, TxPower::High),
+            power: TxPower::High,
+            ..slots[k]
+        };
     }
     let mut left = 1.0;
     slots.retain(|slot| {
@@ -126,7 +129,7 @@ fn predicted(requests: &[SlotRequest], radio: &SharedRadio) -> Vec<Slot> {
     slots
 }
 
-fn total(slots: &[Slot]) -> f64 {
+fn total(slots: &[GrantedSlot]) -> f64 {
     slots.iter().map(|slot| slot.share).sum()
 }
 

@@ -12,6 +12,9 @@ use crate::units::{Scale, Snr, TxPower};
 use crate::world::channel;
 use crate::world::obstacles::Obstacles;
 
+/// What may wait in the vehicle's sender, bytes: as in the first SiK radios (our choice).
+const QUEUE_BYTES: usize = 2048;
+
 impl AirRadio {
     /// The radio of `scenario` with `down_hz` of bandwidth for what the vehicle sends.
     #[must_use]
@@ -47,7 +50,7 @@ impl AirRadio {
             vehicle: end,
             discs: discs(scenario, &scenario.obstacles.iter().map(|o| o.position).collect()),
             up: Modem { rate: AirRate::Outage { b_dt, packet_bits }, error, ..Modem::default() },
-            down: Modem { rate: shannon, error, ..Modem::default() },
+            down: Modem { rate: shannon, error, queue_bytes: QUEUE_BYTES, ..Modem::default() },
             ..Self::default()
         }
     }
