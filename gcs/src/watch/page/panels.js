@@ -8,6 +8,7 @@ const FATES = {
   lost: ["\u2715", "lost"],
 };
 const LEDGER_ROWS = 100;
+const LONG_TEXT = 20;
 
 function element(name, text, className) {
   const made = document.createElement(name);
@@ -41,10 +42,11 @@ function fillList(list, pairs) {
   });
 }
 
-/** Pairs of a name and a shown value; what lies one level deeper carries both names. */
+/** Pairs of a name and a shown value; what lies one level deeper carries both names. Long texts are left out. */
 function flat(name, value, depth = 0) {
+  if (typeof value === "string" && value.length > LONG_TEXT) return [];
   if (value === null || typeof value !== "object") return [[name, shown(value, 4)]];
-  if (Array.isArray(value) || depth > 1) return [];
+  if (Array.isArray(value) || depth > 0) return [];
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
 }
 
@@ -69,7 +71,7 @@ class Panels {
     this.ledger(flight, tick);
     this.link(flight, tick);
     this.log();
-    this.summary();
+    this.summary(flight);
   }
 
   readout(flight, tick) {
@@ -80,7 +82,9 @@ class Panels {
     const unit = (value) => (this.store.local ? `${shown(value, 1)} m` : shown(value));
     const speed = line?.v ? Math.hypot(...line.v) : null;
     const perSecond = this.store.local ? 1 : metres / this.store.intervalSeconds;
-    const known = ([, value]) => !line || !value.startsWith("\u2013");
+    // What a vehicle never tells has no row.
+    const tells = (key) => flown.some((one) => one[key] !== undefined && one[key] !== null);
+    const known = ([, value, key]) => !line || ((key === undefined || tells(key)) && !value.startsWith("\u2013"));
     fillList(this.find("#readout"), [
       ["interval", line ? String(line.tick) : "\u2013"],
       ["time", line ? `${(line.tick * this.store.intervalSeconds).toFixed(1)} s` : "\u2013"],
@@ -89,9 +93,10 @@ class Panels {
       ["SNR", line ? `${shown(line.snr_db, 1)} dB` : "\u2013"],
       ["risk", line ? shown(line.p_coll, 4) : "\u2013"],
       ["power", line ? shown(line.power) : "\u2013"],
-      ["energy sent", shown(flown.reduce((sum, one) => sum + (one.power ?? 0), 0))],
-      ["outages", `${flown.filter((one) => one.outage).length} of ${flown.length}`],
-      ["collisions", String(flown.filter((one) => one.collided).length)],
+      ["altitude", `${shown(line?.altitude_m, 1)} m`],
+      ["energy sent", shown(flown.reduce((sum, one) => sum + (one.power ?? 0), 0)), "power"],
+      ["outages", `${flown.filter((one) => one.outage).length} of ${flown.length}`, "outage"],
+      ["collisions", String(flown.filter((one) => one.collided).length), "collided"],
     ].filter(known));
     for (const [name, text] of Object.entries({
       snr: line ? `${shown(line.snr_db, 1)} dB` : "",
@@ -106,6 +111,8 @@ class Panels {
   belief(flight, tick) {
     const belief = flight?.beliefs.at(tick);
     this.find("#belief").classList.toggle("absent", !flight || flight.beliefs.length === 0);
+    // A vehicle that no station of ours flies has no model to show.
+    this.find("#belief").hidden = this.store.local && (!flight || flight.beliefs.length + flight.pictures.length === 0);
     this.find(".seen").hidden = !flight || flight.pictures.length === 0;
     this.find("#belief").classList.toggle("no-outlook", !(belief?.snr_db?.length > 0));
     const line = belief && flight.record.at(belief.tick);
@@ -195,9 +202,11 @@ class Panels {
     if (atEnd) list.scrollTop = list.scrollHeight;
   }
 
-  summary() {
+  /** The selected vehicle's metrics, where the feed tells each one's, and how far a computation is. */
+  summary(flight) {
     const { end, progress } = this.store;
-    const values = Object.entries(end?.summary ?? {}).flatMap(([name, value]) => flat(name, value));
+    const { flights, ...whole } = end?.summary ?? {};
+    const values = Object.entries(flights?.[flight?.id] ?? whole).flatMap(([name, value]) => flat(name, value));
     this.find("#summary").hidden = values.length === 0;
     fillList(this.find("#summary-values"), values);
     this.find("#progress").hidden = !progress;
