@@ -255,7 +255,7 @@ function showPanels(now) {
 
 // ---- the loop ----
 
-const PANELS_EVERY_MS = 120;
+const PANELS_EVERY_MS = 200;
 const frames = [];
 window.__watch = { store, playback, page, field, frames: 0 };
 window.__fps = 0;

@@ -7,7 +7,7 @@ const FATES = {
   superseded: ["\u25cb", "superseded"],
   lost: ["\u2715", "lost"],
 };
-const LEDGER_ROWS = 100;
+const LEDGER_ROWS = 50;
 const LONG_TEXT = 20;
 
 function element(name, text, className) {
@@ -50,6 +50,20 @@ function flat(name, value, depth = 0) {
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
 }
 
+function commandRow(command) {
+  const row = element("tr", undefined, `fate-${command.fate}`);
+  const [sign, word] = FATES[command.fate] ?? ["?", String(command.fate ?? "on its way")];
+  const wish = (command.wish ?? []).map((value) => (value >= 0 ? "+" : "\u2212") + Math.abs(value).toFixed(1));
+  row.append(
+    element("td", String(command.tick)),
+    element("td", wish.join(" ")),
+    element("td", shown(command.power)),
+    element("td", `${sign} ${word}`),
+    element("td", command.arrived === undefined || command.arrived === null ? "\u2013" : String(command.arrived)),
+  );
+  return row;
+}
+
 class Panels {
   constructor(root, store) {
     this.root = root;
@@ -62,6 +76,7 @@ class Panels {
     this.logged = 0;
     this.pictureKey = "";
     this.ledgerKey = "";
+    this.ledgerLast = undefined;
     this.find("#log-lines").replaceChildren();
   }
 
@@ -151,28 +166,23 @@ class Panels {
   ledger(flight, tick) {
     this.find("#ledger").hidden = !flight || (flight.commands.length === 0 && flight.record.length > 0);
     const until = flight ? flight.commands.index(tick) : -1;
-    const key = `${flight?.id}:${until}:${flight?.commands.length}:${this.store.seen.command}`;
-    if (key === this.ledgerKey) return;
-    this.ledgerKey = key;
+    const last = flight?.commands.values[until];
+    const key = `${flight?.id}:${flight?.commands.length}`;
+    if (key === this.ledgerKey && last === this.ledgerLast) return;
     const sent = flight ? flight.commands.values.slice(0, until + 1) : [];
     const counts = Object.keys(FATES).map((fate) => [fate, sent.filter((one) => one.fate === fate).length]);
     this.find("#fates").textContent = counts
       .map(([fate, count]) => `${FATES[fate][0]} ${count} ${FATES[fate][1]}`)
       .join("  ");
-    const rows = sent.slice(-LEDGER_ROWS).reverse().map((command) => {
-      const row = element("tr", undefined, `fate-${command.fate}`);
-      const [sign, word] = FATES[command.fate] ?? ["?", String(command.fate ?? "on its way")];
-      const wish = (command.wish ?? []).map((value) => (value >= 0 ? "+" : "\u2212") + Math.abs(value).toFixed(1));
-      row.append(
-        element("td", String(command.tick)),
-        element("td", wish.join(" ")),
-        element("td", shown(command.power)),
-        element("td", `${sign} ${word}`),
-        element("td", command.arrived === undefined || command.arrived === null ? "\u2013" : String(command.arrived)),
-      );
-      return row;
-    });
-    this.find("#ledger tbody").replaceChildren(...rows);
+    // While the cursor goes on, only what is new is added.
+    const body = this.find("#ledger tbody");
+    const from = key === this.ledgerKey ? sent.lastIndexOf(this.ledgerLast) : -1;
+    const rows = sent.slice(from + 1).slice(-LEDGER_ROWS).reverse().map(commandRow);
+    if (from >= 0) body.prepend(...rows);
+    else body.replaceChildren(...rows);
+    while (body.children.length > LEDGER_ROWS) body.lastChild.remove();
+    this.ledgerKey = key;
+    this.ledgerLast = last;
   }
 
   /** Counters of the link, as they stood last; of a link that was counted once, as it was counted. */
