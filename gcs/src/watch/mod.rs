@@ -19,7 +19,7 @@ use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 
 use anyhow::Result;
-use crpl_sitl::program::terminal::interrupted;
+use crpl_sitl::program::terminal::Signals;
 use serde_json::Value;
 
 use crate::station::pilot::Controller;
@@ -153,8 +153,12 @@ impl WatchPage {
     /// The end of the server, without a last line.
     pub async fn leave(&mut self) {
         if self.stays {
+            // One that comes at once must not be lost.
+            let signals = Signals::listen();
             let _ = writeln!(std::io::stderr().lock(), "watch: the page stays until Ctrl-C");
-            interrupted().await;
+            if let Ok(mut signals) = signals {
+                signals.next().await;
+            }
         }
         self.server.stop();
     }

@@ -231,16 +231,19 @@ function showPanels(now) {
   if (page.stripsAt !== changed) {
     page.stripsAt = changed;
     strips.update(flight);
+    find("#strips").hidden = !strips.any;
   }
   const studied = (store.seen.point ?? 0) + (store.seen.curve ?? 0);
-  find("#study").hidden = studied === 0 && !store.progress;
-  document.body.classList.toggle("study-only", (studied > 0 || Boolean(store.progress)) && store.flights.size === 0);
+  const isStudy = studied > 0 || Boolean(store.progress) || /sweep|train/.test(store.hello?.program ?? "");
+  find("#study").hidden = !isStudy;
+  document.body.classList.toggle("study-only", isStudy && store.flights.size === 0);
   if (studied > 0 && page.studied !== studied) {
     page.studied = studied;
     study.update();
   }
   const shadow = flight?.fields.at(playback.tick);
   find("#snr-scale").hidden = !shadow;
+  find(".legend").hidden = store.local && !shadow;
   const { gamma_min_db: gamma, rate_snr_db: rate } = store.limits;
   const dashed = rate === undefined ? "" : `, dashed: rate met from ${rate.toFixed(1)}`;
   find("#snr-scale-title").textContent =
@@ -252,7 +255,7 @@ function showPanels(now) {
 
 // ---- the loop ----
 
-const PANELS_EVERY_MS = 120;
+const PANELS_EVERY_MS = 200;
 const frames = [];
 window.__watch = { store, playback, page, field, frames: 0 };
 window.__fps = 0;

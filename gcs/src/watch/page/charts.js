@@ -163,6 +163,11 @@ class Strips {
     }
   }
 
+  /** Whether there is a strip to look at. */
+  get any() {
+    return Object.values(this.charts).some((chart) => !chart.box.closest("figure").hidden);
+  }
+
   moveMark(tick) {
     for (const chart of Object.values(this.charts)) chart.moveMark(tick);
   }

@@ -57,7 +57,7 @@ class FieldView {
   project() {
     const bounds = this.store.local ? localBounds(this.store) : [0, 0, 1, 1];
     const [width, height] = this.size;
-    const pad = 0.35 * this.rem;
+    const pad = 0.7 * this.rem;
     this.map = new Projection(bounds, [pad, pad, width - 2 * pad, height - 2 * pad]);
     this.metres = this.store.local ? 1 : (this.store.scenario.scale?.metres_per_unit ?? 0);
   }

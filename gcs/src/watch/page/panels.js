@@ -7,7 +7,8 @@ const FATES = {
   superseded: ["\u25cb", "superseded"],
   lost: ["\u2715", "lost"],
 };
-const LEDGER_ROWS = 100;
+const LEDGER_ROWS = 50;
+const LONG_TEXT = 20;
 
 function element(name, text, className) {
   const made = document.createElement(name);
@@ -41,11 +42,26 @@ function fillList(list, pairs) {
   });
 }
 
-/** Pairs of a name and a shown value; what lies one level deeper carries both names. */
+/** Pairs of a name and a shown value; what lies one level deeper carries both names. Long texts are left out. */
 function flat(name, value, depth = 0) {
+  if (typeof value === "string" && value.length > LONG_TEXT) return [];
   if (value === null || typeof value !== "object") return [[name, shown(value, 4)]];
-  if (Array.isArray(value) || depth > 1) return [];
+  if (Array.isArray(value) || depth > 0) return [];
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
+}
+
+function commandRow(command) {
+  const row = element("tr", undefined, `fate-${command.fate}`);
+  const [sign, word] = FATES[command.fate] ?? ["?", String(command.fate ?? "on its way")];
+  const wish = (command.wish ?? []).map((value) => (value >= 0 ? "+" : "\u2212") + Math.abs(value).toFixed(1));
+  row.append(
+    element("td", String(command.tick)),
+    element("td", wish.join(" ")),
+    element("td", shown(command.power)),
+    element("td", `${sign} ${word}`),
+    element("td", command.arrived === undefined || command.arrived === null ? "\u2013" : String(command.arrived)),
+  );
+  return row;
 }
 
 class Panels {
@@ -60,6 +76,7 @@ class Panels {
     this.logged = 0;
     this.pictureKey = "";
     this.ledgerKey = "";
+    this.ledgerLast = undefined;
     this.find("#log-lines").replaceChildren();
   }
 
@@ -69,7 +86,7 @@ class Panels {
     this.ledger(flight, tick);
     this.link(flight, tick);
     this.log();
-    this.summary();
+    this.summary(flight);
   }
 
   readout(flight, tick) {
@@ -80,7 +97,9 @@ class Panels {
     const unit = (value) => (this.store.local ? `${shown(value, 1)} m` : shown(value));
     const speed = line?.v ? Math.hypot(...line.v) : null;
     const perSecond = this.store.local ? 1 : metres / this.store.intervalSeconds;
-    const known = ([, value]) => !line || !value.startsWith("\u2013");
+    // What a vehicle never tells has no row.
+    const tells = (key) => flown.some((one) => one[key] !== undefined && one[key] !== null);
+    const known = ([, value, key]) => !line || ((key === undefined || tells(key)) && !value.startsWith("\u2013"));
     fillList(this.find("#readout"), [
       ["interval", line ? String(line.tick) : "\u2013"],
       ["time", line ? `${(line.tick * this.store.intervalSeconds).toFixed(1)} s` : "\u2013"],
@@ -89,9 +108,10 @@ class Panels {
       ["SNR", line ? `${shown(line.snr_db, 1)} dB` : "\u2013"],
       ["risk", line ? shown(line.p_coll, 4) : "\u2013"],
       ["power", line ? shown(line.power) : "\u2013"],
-      ["energy sent", shown(flown.reduce((sum, one) => sum + (one.power ?? 0), 0))],
-      ["outages", `${flown.filter((one) => one.outage).length} of ${flown.length}`],
-      ["collisions", String(flown.filter((one) => one.collided).length)],
+      ["altitude", `${shown(line?.altitude_m, 1)} m`],
+      ["energy sent", shown(flown.reduce((sum, one) => sum + (one.power ?? 0), 0)), "power"],
+      ["outages", `${flown.filter((one) => one.outage).length} of ${flown.length}`, "outage"],
+      ["collisions", String(flown.filter((one) => one.collided).length), "collided"],
     ].filter(known));
     for (const [name, text] of Object.entries({
       snr: line ? `${shown(line.snr_db, 1)} dB` : "",
@@ -106,6 +126,8 @@ class Panels {
   belief(flight, tick) {
     const belief = flight?.beliefs.at(tick);
     this.find("#belief").classList.toggle("absent", !flight || flight.beliefs.length === 0);
+    // A vehicle that no station of ours flies has no model to show.
+    this.find("#belief").hidden = this.store.local && (!flight || flight.beliefs.length + flight.pictures.length === 0);
     this.find(".seen").hidden = !flight || flight.pictures.length === 0;
     this.find("#belief").classList.toggle("no-outlook", !(belief?.snr_db?.length > 0));
     const line = belief && flight.record.at(belief.tick);
@@ -144,28 +166,23 @@ class Panels {
   ledger(flight, tick) {
     this.find("#ledger").hidden = !flight || (flight.commands.length === 0 && flight.record.length > 0);
     const until = flight ? flight.commands.index(tick) : -1;
-    const key = `${flight?.id}:${until}:${flight?.commands.length}:${this.store.seen.command}`;
-    if (key === this.ledgerKey) return;
-    this.ledgerKey = key;
+    const last = flight?.commands.values[until];
+    const key = `${flight?.id}:${flight?.commands.length}`;
+    if (key === this.ledgerKey && last === this.ledgerLast) return;
     const sent = flight ? flight.commands.values.slice(0, until + 1) : [];
     const counts = Object.keys(FATES).map((fate) => [fate, sent.filter((one) => one.fate === fate).length]);
     this.find("#fates").textContent = counts
       .map(([fate, count]) => `${FATES[fate][0]} ${count} ${FATES[fate][1]}`)
       .join("  ");
-    const rows = sent.slice(-LEDGER_ROWS).reverse().map((command) => {
-      const row = element("tr", undefined, `fate-${command.fate}`);
-      const [sign, word] = FATES[command.fate] ?? ["?", String(command.fate ?? "on its way")];
-      const wish = (command.wish ?? []).map((value) => (value >= 0 ? "+" : "\u2212") + Math.abs(value).toFixed(1));
-      row.append(
-        element("td", String(command.tick)),
-        element("td", wish.join(" ")),
-        element("td", shown(command.power)),
-        element("td", `${sign} ${word}`),
-        element("td", command.arrived === undefined || command.arrived === null ? "\u2013" : String(command.arrived)),
-      );
-      return row;
-    });
-    this.find("#ledger tbody").replaceChildren(...rows);
+    // While the cursor goes on, only what is new is added.
+    const body = this.find("#ledger tbody");
+    const from = key === this.ledgerKey ? sent.lastIndexOf(this.ledgerLast) : -1;
+    const rows = sent.slice(from + 1).slice(-LEDGER_ROWS).reverse().map(commandRow);
+    if (from >= 0) body.prepend(...rows);
+    else body.replaceChildren(...rows);
+    while (body.children.length > LEDGER_ROWS) body.lastChild.remove();
+    this.ledgerKey = key;
+    this.ledgerLast = last;
   }
 
   /** Counters of the link, as they stood last; of a link that was counted once, as it was counted. */
@@ -195,9 +212,11 @@ class Panels {
     if (atEnd) list.scrollTop = list.scrollHeight;
   }
 
-  summary() {
+  /** The selected vehicle's metrics, where the feed tells each one's, and how far a computation is. */
+  summary(flight) {
     const { end, progress } = this.store;
-    const values = Object.entries(end?.summary ?? {}).flatMap(([name, value]) => flat(name, value));
+    const { flights, ...whole } = end?.summary ?? {};
+    const values = Object.entries(flights?.[flight?.id] ?? whole).flatMap(([name, value]) => flat(name, value));
     this.find("#summary").hidden = values.length === 0;
     fillList(this.find("#summary-values"), values);
     this.find("#progress").hidden = !progress;
