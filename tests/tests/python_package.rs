@@ -58,7 +58,7 @@ fn its_own_tests_pass() {
 fn its_types_are_right() {
     let site = site().join("crpl");
     assert!(site.join("py.typed").is_file() && site.join("_crpl.pyi").is_file());
-    package(&["-m", "mypy", "--config-file", "gcs/python/pyproject.toml", "gcs/python/crpl"]);
+    package(&["-m", "mypy", "--config-file", "gcs/python/pyproject.toml", "gcs/python/package/crpl"]);
 }
 
 #[test]

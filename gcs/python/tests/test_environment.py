@@ -21,7 +21,7 @@ def test_gymnasium_finds_nothing_to_complain_of(obs, actions):
     check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("controller", ["crpl", "rcc", "apc"])
+@pytest.mark.parametrize("controller", ["crpl", "rcc"])
 def test_the_actions_of_a_controller_give_its_records_to_the_last_byte(controller):
     lines = crpl._crpl.records(controller, "demo", 11)
     env = crpl.make("demo")

@@ -28,7 +28,7 @@ def test_a_policys_own_flights_are_recorded(tmp_path):
 
     world = crpl.scenario("demo", camera="hard")
     assert crpl.record_dataset(tmp_path, world, episodes=1, pictures=30, policy=policy, format="png") == 1
-    rows = list(csv.DictReader((tmp_path / "episode-00000/steps.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "episode-00000/steps.csv").read_text().splitlines()))
     assert len(rows) == 30 and float(rows[3]["action_x"]) == pytest.approx(0.5, abs=1e-5)
     assert rows[0]["power"] == "4" and rows[-1]["snr_db"] == ""
     assert (tmp_path / "truth/episode-00000.safetensors").exists()
