@@ -2,8 +2,6 @@
 
 use crpl_sitl::link::dialect::SET_POSITION_TARGET_LOCAL_NED_DATA;
 
-use super::guide::ForeignStack;
-
 /// What a vehicle does at the end of its flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum WhenOver {
@@ -14,22 +12,6 @@ pub enum WhenOver {
     Land,
     /// Returns to where it took off, and lands
     Rtl,
-}
-
-impl WhenOver {
-    /// DO_SET_MODE's first three parameters: BRAKE, LAND or RTL; PX4's AUTO with LOITER, which its stations call
-    /// Hold, LAND or RTL.
-    #[must_use]
-    pub fn mode(self, stack: ForeignStack) -> [f32; 3] {
-        match (stack, self) {
-            (ForeignStack::Ardupilot, Self::Hold) => [1.0, 17.0, 0.0],
-            (ForeignStack::Ardupilot, Self::Land) => [1.0, 9.0, 0.0],
-            (ForeignStack::Ardupilot, Self::Rtl) => [1.0, 6.0, 0.0],
-            (ForeignStack::Px4, Self::Hold) => [1.0, 4.0, 3.0],
-            (ForeignStack::Px4, Self::Land) => [1.0, 4.0, 6.0],
-            (ForeignStack::Px4, Self::Rtl) => [1.0, 4.0, 5.0],
-        }
-    }
 }
 
 /// The field's axes, turned from the vehicle's north and east about its origin.

@@ -53,6 +53,21 @@ pub enum ForeignStack {
     Px4,
 }
 
+impl ForeignStack {
+    /// DO_SET_MODE's first three parameters at the end: BRAKE, LAND or RTL; PX4's AUTO with LOITER, which its
+    /// stations call Hold, LAND or RTL.
+    fn last_mode(self, over: WhenOver) -> [f32; 3] {
+        match (self, over) {
+            (Self::Ardupilot, WhenOver::Hold) => [1.0, 17.0, 0.0],
+            (Self::Ardupilot, WhenOver::Land) => [1.0, 9.0, 0.0],
+            (Self::Ardupilot, WhenOver::Rtl) => [1.0, 6.0, 0.0],
+            (Self::Px4, WhenOver::Hold) => [1.0, 4.0, 3.0],
+            (Self::Px4, WhenOver::Land) => [1.0, 4.0, 6.0],
+            (Self::Px4, WhenOver::Rtl) => [1.0, 4.0, 5.0],
+        }
+    }
+}
+
 /// Setpoints in the vehicle's time: PX4 wants more than 2 a second, ArduCopter one in 3 s; the height
 /// is held through them, too.
 const SETPOINT: Duration = Duration::from_millis(50);
@@ -530,7 +545,11 @@ impl Guide {
             GuidePhase::Left => return,
             // Where it is does not matter for this.
             GuidePhase::Braking => {
-                return self.ask_once(MavCmd::MAV_CMD_DO_SET_MODE, &self.last.mode(self.foreign.stack), now);
+                return self.ask_once(
+                    MavCmd::MAV_CMD_DO_SET_MODE,
+                    &self.foreign.stack.last_mode(self.last),
+                    now,
+                );
             }
             _ => {}
         }
