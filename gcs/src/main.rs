@@ -19,7 +19,7 @@ use crpl_gcs::lab::{
     bound, check, episodes, fleet, flown, optimise, policies, record, report, scenarios, sensitivity, tune,
 };
 use crpl_gcs::station::models::ModelFiles;
-use crpl_gcs::station::pilot::Controller;
+use crpl_gcs::station::pilot::{Controller, ControllerParser};
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, encode, export, key, link, mission, param, replay, tlog};
 use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
@@ -113,7 +113,7 @@ struct Demo {
     #[command(flatten)]
     models: ModelFiles,
     /// Controllers to fly, in this order
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
+    #[arg(long, value_parser = ControllerParser, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc"])]
     controller: Vec<Controller>,
     /// Seed of the gusts
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -199,7 +199,7 @@ struct Fly {
     #[command(flatten)]
     identity: Identity,
     /// Controller to fly
-    #[arg(long, default_value = "crpl")]
+    #[arg(long, value_parser = ControllerParser, default_value = "crpl")]
     controller: Controller,
     /// Stop after N control intervals [default: the scenario's horizon]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]

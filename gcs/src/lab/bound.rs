@@ -20,11 +20,11 @@ use serde::Serialize;
 
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, Models};
-use crate::station::pilot::Controller;
 use crate::station::pilot::apc::Apc;
 use crate::station::pilot::apc::stage::Constraints;
 use crate::station::pilot::apc::value::{Solution, ValueConfig};
 use crate::station::pilot::reactive::Present;
+use crate::station::pilot::{Controller, ControllerParser};
 
 /// Flags of `gcs bound`.
 #[derive(Debug, clap::Args)]
@@ -36,7 +36,7 @@ pub struct Bound {
     #[command(flatten)]
     camera: CameraFlag,
     /// Controllers beside APC
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    #[arg(long, value_parser = ControllerParser, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
     /// Flights per controller
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(2..))]

@@ -15,8 +15,8 @@ use crate::lab::aired::table::{self, AirFlags};
 use crate::lab::sweep::table::ratio_cell;
 use crate::lab::{Contender, policies};
 use crate::station::models::{ModelFiles, PolicyOrigin};
-use crate::station::pilot::Controller;
 use crate::station::pilot::own::AnswerTally;
+use crate::station::pilot::{Controller, ControllerParser};
 use crpl_model::numeric::statistics::{Interval, Mean, Resamples, wilson};
 
 /// Flags of `gcs episodes`.
@@ -35,7 +35,7 @@ pub struct Episodes {
     #[arg(long, value_name = "N", default_value_t = 0)]
     first_seed: u64,
     /// Controllers to fly
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
+    #[arg(long, value_parser = ControllerParser, value_name = "LIST", value_delimiter = ',', default_values = ["crpl", "rcc", "ucc"])]
     controller: Vec<Controller>,
     #[command(flatten)]
     air: AirFlags,

@@ -35,7 +35,7 @@ use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
 use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
 use crate::station::models::{ModelFiles, Models};
-use crate::station::pilot::Controller;
+use crate::station::pilot::{Controller, ControllerParser};
 use page::Page;
 use rows::VerdictRow;
 use sweeps::Finished;
@@ -66,7 +66,7 @@ pub struct Report {
     #[arg(value_name = "scenarios|all|DIR")]
     what: String,
     /// Controllers to fly [default: the paper's four, and those of the sweep files]
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_parser = ControllerParser, value_name = "LIST", value_delimiter = ',')]
     controller: Option<Vec<Controller>>,
     /// Override the sweep files' number of flights per point and controller
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]

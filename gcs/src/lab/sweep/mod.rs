@@ -35,8 +35,8 @@ use rayon::prelude::*;
 
 use crate::lab::{Contender, policies};
 use crate::station::models::{MismatchRule, ModelFiles, Models, PolicyUse};
-use crate::station::pilot::Controller;
 use crate::station::pilot::own::AnswerTally;
+use crate::station::pilot::{Controller, ControllerParser};
 use crate::watch::feed::{Feed, WatchEvent};
 use crate::watch::{WatchFlags, WatchPage};
 use episode::SweepEpisode;
@@ -63,7 +63,7 @@ pub struct Sweep {
     #[arg(long, value_name = "N")]
     first_seed: Option<u64>,
     /// Override the file's controllers
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_parser = ControllerParser, value_name = "LIST", value_delimiter = ',')]
     controller: Option<Vec<Controller>>,
     /// Fly only shard I of N, every Nth seed; `gcs merge` joins the shards
     #[arg(long, value_name = "I/N", default_value = "1/1")]

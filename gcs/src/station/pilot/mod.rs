@@ -122,14 +122,6 @@ impl From<Controller> for String {
 #[derive(Debug, Clone)]
 pub struct ControllerParser;
 
-impl clap::builder::ValueParserFactory for Controller {
-    type Parser = ControllerParser;
-
-    fn value_parser() -> ControllerParser {
-        ControllerParser
-    }
-}
-
 impl TypedValueParser for ControllerParser {
     type Value = Controller;
 
