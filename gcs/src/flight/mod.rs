@@ -451,7 +451,8 @@ impl<'a> FlightShell<'a> {
     /// Tick, way to the goal, and the radio, in the live line.
     fn show(&self, percept: &Percept) {
         let (telemetry, scale) = (&percept.telemetry, &self.scenario.scale);
-        let away = (scale.paper_from_ned(telemetry.position) - self.scenario.goal).norm() * scale.metres_per_unit;
+        let away =
+            (scale.paper_from_ned(telemetry.position) - self.scenario.goal).norm() * scale.metres_per_unit;
         let radio = telemetry.link.map_or_else(String::new, |link| {
             let power = if link.power == TxPower::High { "high" } else { "low" };
             let outage = if link.outage { ", OUTAGE" } else { "" };

@@ -88,7 +88,9 @@ impl FlightPath<'_> {
         ];
         let line: Vec<(f64, f64)> = path.iter().map(|r| (r.x, r.y)).collect();
         series.push(thin("", BLACK, line));
-        series.extend(arrows(path).into_iter().map(|arrow| Series::line("", 0, arrow).styled(Style::Area).inked(BLACK)));
+        series.extend(
+            arrows(path).into_iter().map(|arrow| Series::line("", 0, arrow).styled(Style::Area).inked(BLACK)),
+        );
         series
     }
 
@@ -111,7 +113,9 @@ impl FlightPath<'_> {
     /// The flight in words.
     fn alt(&self) -> String {
         let count = |of: &dyn Fn(&Record) -> bool| self.records.iter().filter(|r| of(r)).count();
-        let Some(last) = self.records.last() else { return format!("{}: no interval was flown.", self.title) };
+        let Some(last) = self.records.last() else {
+            return format!("{}: no interval was flown.", self.title);
+        };
         format!(
             "{}: the path of {} intervals from ({:.2}, {:.2}) to ({:.2}, {:.2}) over the contours of the radio shadow; \
              {} intervals at high power, {} in outage; {:.2} from the goal at the end.",
@@ -191,7 +195,9 @@ fn arrows(path: &[Vector2<f64>]) -> Vec<Vec<(f64, f64)>> {
         .map(|(at, way)| {
             let along = way.normalize() * 0.016;
             let across = Vector2::new(-along.y, along.x) * 0.5;
-            [at + along, at - along + across, at - along * 0.5, at - along - across].map(|r| (r.x, r.y)).to_vec()
+            [at + along, at - along + across, at - along * 0.5, at - along - across]
+                .map(|r| (r.x, r.y))
+                .to_vec()
         })
         .collect()
 }

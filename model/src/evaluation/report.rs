@@ -11,7 +11,7 @@ use crate::encoder::weights::vector;
 use crate::evaluation::hard::{self, HardReport};
 use crate::evaluation::robustness::{self, RobustnessRow};
 use crate::evaluation::rollout::{
-    self,  Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutRow, RolloutErrors, RolloutStart, Trajectory,
+    self, Forecaster, HORIZONS, Known, LONGEST, Panel, RolloutErrors, RolloutRow, RolloutStart, Trajectory,
 };
 use crate::evaluation::{Judged, decoded, judged};
 use crate::heads::labels::{self, BaseStation, Scene, auc, calibration_error};
@@ -152,7 +152,12 @@ pub struct Measured {
 
 /// The rollouts of Fig. 3 alone: from rest, by every predictor.
 #[must_use]
-pub fn from_rest(model: &WorldModel, networks: &Networks, config: &ReportConfig, scenario: &Scenario) -> Vec<RolloutErrors> {
+pub fn from_rest(
+    model: &WorldModel,
+    networks: &Networks,
+    config: &ReportConfig,
+    scenario: &Scenario,
+) -> Vec<RolloutErrors> {
     let (panel, noise) = (Panel::new(model, networks, scenario), Noise::new(config.seed ^ EVALUATION));
     Forecasts::of(&panel, RolloutStart::Rest, Selection::Free, config, scenario, &noise, || ()).errors
 }

@@ -59,8 +59,12 @@ mod tests {
     #[test]
     fn a_table_is_no_wider_than_the_terminal() {
         let words = |row: &[&str]| row.iter().map(ToString::to_string).collect::<Vec<_>>();
-        let (head, rows) = (words(&["who", "d_f", "E_comm", "T_out"]), [words(&["crpl", "0.0047", "100", "0"])]);
-        assert_eq!(table(&head, &rows, None), "   who     d_f  E_comm  T_out\n  crpl  0.0047     100      0\n");
+        let (head, rows) =
+            (words(&["who", "d_f", "E_comm", "T_out"]), [words(&["crpl", "0.0047", "100", "0"])]);
+        assert_eq!(
+            table(&head, &rows, None),
+            "   who     d_f  E_comm  T_out\n  crpl  0.0047     100      0\n"
+        );
         let folded = table(&head, &rows, Some(16));
         assert_eq!(folded.split("\n\n").count(), 3);
         assert!(folded.lines().all(|line| line.len() <= 16), "{folded}");

@@ -16,16 +16,18 @@ const HEADING: &str = "Log";
 pub fn with_common(program: Command) -> Command {
     let quiet = Arg::new("quiet").short('q').long("quiet").help("Log errors alone, and draw no progress");
     let verbose = Arg::new("verbose").short('v').long("verbose").action(ArgAction::Count);
-    let log = Arg::new("log").long("log").value_name("FORMAT").value_parser(EnumValueParser::<LogFormat>::new());
+    let log =
+        Arg::new("log").long("log").value_name("FORMAT").value_parser(EnumValueParser::<LogFormat>::new());
     let verbose = verbose.help("Log details; -vv everything").conflicts_with("quiet");
     let flags = [
         quiet.action(ArgAction::SetTrue),
         verbose,
-        log.default_value("text").help("Log lines for people or for programs"),
+        log.default_value("text").hide_possible_values(true).help("Log lines as text, or as json"),
     ];
     let shell = Arg::new("shell").required(true).value_name("SHELL").value_parser(value_parser!(Shell));
     let completions = Command::new("completions").about("Print completions for a shell").arg(shell);
-    let out = Arg::new("out").long("out").required(true).value_name("DIR").value_parser(value_parser!(PathBuf));
+    let out =
+        Arg::new("out").long("out").required(true).value_name("DIR").value_parser(value_parser!(PathBuf));
     let man = Command::new("man").about("Write the manual pages into a folder").arg(out).hide(true);
     let is_single = !program.has_subcommands();
     let flags = flags.map(|flag| flag.global(true).help_heading(HEADING));
@@ -63,7 +65,8 @@ pub fn pages(program: &Command, matches: &ArgMatches) -> Option<Result<()>> {
 /// A page for the program and each of its subcommands.
 fn write_man(program: &Command, dir: &Path) -> Result<()> {
     std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
-    clap_mangen::generate_to(program.clone(), dir).with_context(|| format!("writing into {}", dir.display()))?;
+    clap_mangen::generate_to(program.clone(), dir)
+        .with_context(|| format!("writing into {}", dir.display()))?;
     crate::outln!("manual pages in {}", dir.display());
     Ok(())
 }
@@ -78,7 +81,8 @@ mod tests {
     #[test]
     fn shared_flags_stand_anywhere_and_leave_the_program_s_alone() {
         let program = with_common(Args::command());
-        let matches = program.clone().try_get_matches_from(["sitl", "--seed", "4", "-vv", "--log", "json"]).unwrap();
+        let matches =
+            program.clone().try_get_matches_from(["sitl", "--seed", "4", "-vv", "--log", "json"]).unwrap();
         assert_eq!(Args::from_arg_matches(&matches).unwrap().seed, 4);
         let choice = log_choice(&matches);
         assert_eq!((choice.quiet, choice.verbose, choice.format), (false, 2, LogFormat::Json));

@@ -96,6 +96,9 @@ mod tests {
     fn flags_win_over_the_environment() {
         let choice = |quiet, verbose| LogChoice { quiet, verbose, ..LogChoice::default() }.level();
         assert_eq!(choice(false, 0), None);
-        assert_eq!([choice(true, 0), choice(false, 1), choice(false, 5)], [Some("error"), Some("debug"), Some("trace")]);
+        assert_eq!(
+            [choice(true, 0), choice(false, 1), choice(false, 5)],
+            [Some("error"), Some("debug"), Some("trace")]
+        );
     }
 }

@@ -30,7 +30,9 @@ impl Labels {
         for (n, obstacle) in scenario.obstacles.iter().enumerate() {
             let centre = last.and_then(|all| all.get(n).copied()).unwrap_or(obstacle.position);
             let rim = (0..24).map(|n| f64::from(n) / 24.0 * std::f64::consts::TAU);
-            taken.extend(rim.flat_map(|a| [0.5, 1.0].map(|s| centre + Vector2::new(a.cos(), a.sin()) * (s * obstacle.radius))));
+            taken.extend(rim.flat_map(|a| {
+                [0.5, 1.0].map(|s| centre + Vector2::new(a.cos(), a.sin()) * (s * obstacle.radius))
+            }));
         }
         Self { notes: Vec::new(), taken, letter: chart::letter_share(panel) }
     }
@@ -109,9 +111,7 @@ mod tests {
         let boxes: Vec<(Vector2<f64>, Vector2<f64>)> = labels
             .notes
             .iter()
-            .map(|note| {
-                (Vector2::new(note.at.0, note.at.1), labels.half(&note.text))
-            })
+            .map(|note| (Vector2::new(note.at.0, note.at.1), labels.half(&note.text)))
             .collect();
         for (n, (middle, half)) in boxes.iter().enumerate() {
             for r in &path {

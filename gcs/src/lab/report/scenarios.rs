@@ -270,7 +270,12 @@ impl Flown {
         };
         let least = Snr(self.scenario.channel.snr_min).to_db();
         vec![
-            panel("signal-to-noise ratio", "SNR γ, dB", &|r| (r.tick.0 as f64, f64::from(r.snr_db)), ("γ_min", least)),
+            panel(
+                "signal-to-noise ratio",
+                "SNR γ, dB",
+                &|r| (r.tick.0 as f64, f64::from(r.snr_db)),
+                ("γ_min", least),
+            ),
             panel(
                 "collision probability",
                 "collision probability p_coll",

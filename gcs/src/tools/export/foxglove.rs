@@ -64,7 +64,8 @@ impl Log<'_> {
 
     fn vehicle(&mut self, system: u8) {
         let track = self.track;
-        let locations = self.channel(&format!("/vehicle_{system}/location"), "foxglove.LocationFix", &location_schema());
+        let locations =
+            self.channel(&format!("/vehicle_{system}/location"), "foxglove.LocationFix", &location_schema());
         let poses = self.channel(&format!("/vehicle_{system}/pose"), "foxglove.PoseInFrame", &pose_schema());
         for sample in track.samples.iter().filter(|sample| sample.system == system) {
             let time = self.nanoseconds(sample);
@@ -96,7 +97,8 @@ impl Log<'_> {
         if track.records.is_empty() {
             return Ok(());
         }
-        let channel = self.channel("/record", "crpl.Record", &json!({ "title": "crpl.Record", "type": "object" }));
+        let channel =
+            self.channel("/record", "crpl.Record", &json!({ "title": "crpl.Record", "type": "object" }));
         for (record, sample) in track.records.iter().zip(&track.samples) {
             self.put(channel, sample, &serde_json::to_value(record)?);
         }

@@ -11,7 +11,11 @@ use super::track::{FlightTrack, TrackSample};
 
 /// One track a vehicle, with height, speed and time.
 pub fn gpx(track: &FlightTrack) -> Result<Vec<u8>> {
-    let mut file = Gpx { version: GpxVersion::Gpx11, creator: Some(format!("gcs {}", crate::revision())), ..Gpx::default() };
+    let mut file = Gpx {
+        version: GpxVersion::Gpx11,
+        creator: Some(format!("gcs {}", crate::revision())),
+        ..Gpx::default()
+    };
     for system in track.systems() {
         let of_system = track.samples.iter().filter(|sample| sample.system == system);
         let points = of_system.map(|sample| waypoint(track, sample)).collect::<Result<Vec<_>>>()?;
@@ -37,7 +41,8 @@ pub fn geojson(track: &FlightTrack) -> String {
     let mut features = Vec::new();
     for system in track.systems() {
         let of_system: Vec<&TrackSample> = track.samples.iter().filter(|s| s.system == system).collect();
-        let places: Vec<Value> = of_system.iter().map(|s| json!([s.place[1], s.place[0], s.heights_m[0]])).collect();
+        let places: Vec<Value> =
+            of_system.iter().map(|s| json!([s.place[1], s.place[0], s.heights_m[0]])).collect();
         let times: Vec<f64> = of_system.iter().map(|s| s.time_s).collect();
         let properties = json!({ "name": format!("vehicle {system}"), "times_s": times });
         // A line has two ends; one place is a point.

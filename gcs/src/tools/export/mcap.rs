@@ -135,7 +135,8 @@ impl McapLog {
         for (channel, messages) in &self.index {
             places = places.u16(*channel).u64(out.len() as u64);
             let shift = self.channels.len() as u64;
-            let mut entries: Vec<(u64, u64)> = messages.iter().map(|(time, at)| (*time, at + shift)).collect();
+            let mut entries: Vec<(u64, u64)> =
+                messages.iter().map(|(time, at)| (*time, at + shift)).collect();
             entries.sort_unstable();
             let entries = entries.iter().fold(Content::default(), |all, (time, at)| all.u64(*time).u64(*at));
             Content::default().u16(*channel).sized(&entries.0).write(&mut out, Opcode::MessageIndex);
@@ -155,9 +156,16 @@ impl McapLog {
 
     fn statistics(&self, first: u64, last: u64) -> Content {
         let counts = self.index.iter().map(|(channel, messages)| (*channel, messages.len() as u64));
-        let each = counts.clone().fold(Content::default(), |all, (channel, count)| all.u16(channel).u64(count));
+        let each =
+            counts.clone().fold(Content::default(), |all, (channel, count)| all.u16(channel).u64(count));
         let all = counts.map(|(_, count)| count).sum();
-        let head = Content::default().u64(all).u16(self.count).u32(self.count.into()).u32(0).u32(self.metadata).u32(1);
+        let head = Content::default()
+            .u64(all)
+            .u16(self.count)
+            .u32(self.count.into())
+            .u32(0)
+            .u32(self.metadata)
+            .u32(1);
         head.u64(first).u64(last).sized(&each.0)
     }
 }

@@ -23,7 +23,9 @@ use track::FlightTrack;
 
 /// Flags of `gcs export`.
 #[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Examples:\n  gcs export runs/demo/crpl --to mcap\n  gcs export flight.tlog --to gpx --out flight.gpx")]
+#[command(
+    after_help = "Examples:\n  gcs export runs/demo/crpl --to mcap\n  gcs export flight.tlog --to gpx --out flight.gpx"
+)]
 pub struct ExportArgs {
     /// Run folder, or a tlog of any vehicle, or a record.jsonl
     #[arg(value_name = "RUN")]
@@ -80,7 +82,9 @@ impl ExportFormat {
             Self::Gpx => maps::gpx(track),
             Self::Geojson => Ok(maps::geojson(track).into_bytes()),
             Self::Mcap => foxglove::mcap(track),
-            Self::Rrd => bail!("--to rrd: this program does not write Rerun's own files; Rerun opens what --to mcap writes"),
+            Self::Rrd => bail!(
+                "--to rrd: this program does not write Rerun's own files; Rerun opens what --to mcap writes"
+            ),
         }
     }
 }

@@ -13,7 +13,10 @@ fn columns(track: &FlightTrack) -> Vec<Column<'static>> {
     };
     let mut columns = vec![
         real("time_s", &|s| s.time_s),
-        Column { name: "system", values: Values::Integers(track.samples.iter().map(|s| s.system.into()).collect()) },
+        Column {
+            name: "system",
+            values: Values::Integers(track.samples.iter().map(|s| s.system.into()).collect()),
+        },
         real("latitude_deg", &|s| s.place[0]),
         real("longitude_deg", &|s| s.place[1]),
         real("altitude_m", &|s| s.heights_m[0]),

@@ -33,7 +33,13 @@ fn tlog() -> Vec<u8> {
         if k % 2 == 0 {
             encoder.push(&mut frames, &LOCAL_POSITION_NED_DATA { x: k as f32, y: 2.0, ..Default::default() });
         }
-        let place = GLOBAL_POSITION_INT_DATA { lat: 473_977_420 + k as i32 * 100, lon: 85_455_940, alt: 500_000, relative_alt: 12_000, ..Default::default() };
+        let place = GLOBAL_POSITION_INT_DATA {
+            lat: 473_977_420 + k as i32 * 100,
+            lon: 85_455_940,
+            alt: 500_000,
+            relative_alt: 12_000,
+            ..Default::default()
+        };
         encoder.push(&mut frames, &place);
         log.datagram(&frames, UNIX_EPOCH + Duration::from_millis(1_700_000_000_000 + 500 * k)).unwrap();
     }
@@ -62,8 +68,14 @@ fn records_know_their_world() {
     assert!((track.samples[0].time_s - 0.4).abs() < 1e-12, "the end of interval 0");
     let csv = String::from_utf8(ExportFormat::Csv.bytes(&track).unwrap()).unwrap();
     assert!(csv.lines().next().unwrap().ends_with("snr_db,p_coll,outage,collided,edge"), "{csv}");
-    let map: serde_json::Value = serde_json::from_slice(&ExportFormat::Geojson.bytes(&track).unwrap()).unwrap();
-    let names: Vec<&str> = map["features"].as_array().unwrap().iter().map(|f| f["properties"]["name"].as_str().unwrap()).collect();
+    let map: serde_json::Value =
+        serde_json::from_slice(&ExportFormat::Geojson.bytes(&track).unwrap()).unwrap();
+    let names: Vec<&str> = map["features"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["properties"]["name"].as_str().unwrap())
+        .collect();
     assert_eq!(names[..4], ["vehicle 1", "base station", "goal", "obstacle"]);
 }
 

@@ -83,7 +83,12 @@ impl FlightTrack {
                 velocity_mps: [north, east, 0.0],
             }
         };
-        Self { samples: records.iter().map(sample).collect(), records, scenario: Some(scenario), begins_us: 0 }
+        Self {
+            samples: records.iter().map(sample).collect(),
+            records,
+            scenario: Some(scenario),
+            begins_us: 0,
+        }
     }
 
     /// From the positions that a log holds, of each vehicle in it.

@@ -54,7 +54,11 @@ pub fn svg<'a>(sheet: impl Into<Sheet<'a>>) -> SvgText {
     let sheet = sheet.into();
     let columns = sheet.columns.clamp(1, sheet.charts.len().max(1));
     let rows = sheet.charts.len().div_ceil(columns);
-    let cell = sheet.charts.iter().map(Chart::size).fold((1.0, 1.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)));
+    let cell = sheet
+        .charts
+        .iter()
+        .map(Chart::size)
+        .fold((1.0, 1.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)));
     let (width, above) = (cell.0 * columns as f64, cell.1 * rows as f64);
     let look = sheet.charts.first().map_or(&ALONE, Chart::look);
     let (key, key_height) = legend(sheet.charts, look, width);
@@ -155,8 +159,10 @@ fn path(points: &[(f64, f64)]) -> String {
 /// Words with their baseline at a place.
 fn word(text: &mut String, words: &str, (x, y): (f64, f64), size: f64, anchor: &str) {
     let words = escape(words);
-    let _ =
-        writeln!(text, "<text x=\"{x:.2}\" y=\"{y:.2}\" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>");
+    let _ = writeln!(
+        text,
+        "<text x=\"{x:.2}\" y=\"{y:.2}\" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"
+    );
 }
 
 /// Room that words take, px.
@@ -217,7 +223,8 @@ impl<'a> Drawing<'a> {
 
     fn all(&self, text: &mut String) {
         let [left, top, width, height] = self.plot;
-        let (clip, series) = (format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\""), &self.chart.series);
+        let (clip, series) =
+            (format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\""), &self.chart.series);
         self.grid(text);
         // A nested picture cuts off what is outside the plot.
         let _ = writeln!(text, "<svg {clip} viewBox=\"{left} {top} {width} {height}\">");
@@ -245,13 +252,21 @@ impl<'a> Drawing<'a> {
         let (bottom, size) = (top + height, self.look.text);
         for (value, label) in self.axes.0.ticks(self.look.ticks.0) {
             let x = left + width * self.axes.0.at(value);
-            let _ = writeln!(text, "<path d=\"M{x:.2} {top}V{:.2}\" stroke=\"{INK}\" stroke-opacity=\"0.12\"/>", bottom);
+            let _ = writeln!(
+                text,
+                "<path d=\"M{x:.2} {top}V{:.2}\" stroke=\"{INK}\" stroke-opacity=\"0.12\"/>",
+                bottom
+            );
             let _ = writeln!(text, "<path d=\"M{x:.2} {bottom}v5\" stroke=\"{INK}\"/>");
             word(text, &label, (x, bottom + 6.0 + size), size, "middle");
         }
         for (value, label) in self.axes.1.ticks(self.look.ticks.1) {
             let y = bottom - height * self.axes.1.at(value);
-            let _ = writeln!(text, "<path d=\"M{left} {y:.2}H{:.2}\" stroke=\"{INK}\" stroke-opacity=\"0.12\"/>", left + width);
+            let _ = writeln!(
+                text,
+                "<path d=\"M{left} {y:.2}H{:.2}\" stroke=\"{INK}\" stroke-opacity=\"0.12\"/>",
+                left + width
+            );
             let _ = writeln!(text, "<path d=\"M{left} {y:.2}h-5\" stroke=\"{INK}\"/>");
             word(text, &label, (left - 8.0, y + 0.35 * size), size, "end");
         }
@@ -262,7 +277,8 @@ impl<'a> Drawing<'a> {
     }
 
     fn area(&self, text: &mut String, series: &Series) {
-        let _ = writeln!(text, "<path d=\"{}Z\" fill=\"{}\"/>", path(&self.places(&series.points)), series.rgb());
+        let _ =
+            writeln!(text, "<path d=\"{}Z\" fill=\"{}\"/>", path(&self.places(&series.points)), series.rgb());
     }
 
     fn band(&self, text: &mut String, series: &Series) {
@@ -272,7 +288,12 @@ impl<'a> Drawing<'a> {
         let back = series.band.iter().rev().map(|(x, _, high)| (*x, *high));
         let outline = self.places(&there.chain(back).collect::<Vec<_>>());
         if !outline.is_empty() {
-            let _ = writeln!(text, "<path d=\"{}Z\" fill=\"{}\" fill-opacity=\"0.15\"/>", path(&outline), series.rgb());
+            let _ = writeln!(
+                text,
+                "<path d=\"{}Z\" fill=\"{}\" fill-opacity=\"0.15\"/>",
+                path(&outline),
+                series.rgb()
+            );
         }
     }
 
@@ -293,7 +314,9 @@ impl<'a> Drawing<'a> {
             _ => (1, 0),
         };
         for point in series.points.iter().skip(first).step_by(step) {
-            if let Some(at) = self.px(*point).filter(|_| self.axes.0.shows(point.0) && self.axes.1.shows(point.1)) {
+            if let Some(at) =
+                self.px(*point).filter(|_| self.axes.0.shows(point.0) && self.axes.1.shows(point.1))
+            {
                 *text += &mark(series, at);
                 text.push('\n');
             }

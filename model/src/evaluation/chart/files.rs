@@ -31,7 +31,8 @@ pub fn save<'a>(sheet: impl Into<Sheet<'a>>, dir: &Path, stem: &str) -> Result<(
     };
     let text = svg(sheet);
     write(format!("{stem}.svg"), text.as_bytes())?;
-    let failed = |extension, message: String| PlotError { path: dir.join(format!("{stem}.{extension}")), message };
+    let failed =
+        |extension, message: String| PlotError { path: dir.join(format!("{stem}.{extension}")), message };
     let tree = tree(&text).map_err(|e| failed("png", e))?;
     write(format!("{stem}.png"), &png(&tree).map_err(|e| failed("png", e))?)?;
     write(format!("{stem}.pdf"), &pdf(&tree).map_err(|e| failed("pdf", e))?)?;
@@ -48,7 +49,8 @@ fn tree(text: &str) -> Result<usvg::Tree, String> {
         fonts.set_sans_serif_family("DejaVu Sans");
         Arc::new(fonts)
     });
-    let options = usvg::Options { fontdb: Arc::clone(fonts), font_family: "DejaVu Sans".into(), ..Default::default() };
+    let options =
+        usvg::Options { fontdb: Arc::clone(fonts), font_family: "DejaVu Sans".into(), ..Default::default() };
     usvg::Tree::from_str(text, &options).map_err(|e| e.to_string())
 }
 
@@ -99,5 +101,9 @@ fn rows(text: &mut String, series: &Series, start: &str, ends: &str) {
 
 /// A cell that may hold commas.
 fn quoted(cell: &str) -> String {
-    if cell.contains([',', '"', '\n']) { format!("\"{}\"", cell.replace('"', "\"\"")) } else { cell.to_owned() }
+    if cell.contains([',', '"', '\n']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
 }

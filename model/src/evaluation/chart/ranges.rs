@@ -30,7 +30,8 @@ impl Axis {
         let step = if self.log { 1.0 } else { step((end - start) / about.max(1) as f64) };
         let first = (start / step - 1e-9).ceil() as i64;
         let last = (end / step + 1e-9).floor() as i64;
-        let mut ticks: Vec<(f64, String)> = (first..=last).map(|n| self.tick(n as f64 * step, step)).collect();
+        let mut ticks: Vec<(f64, String)> =
+            (first..=last).map(|n| self.tick(n as f64 * step, step)).collect();
         if self.log && ticks.len() < 3 {
             let between = (first - 1..=last).flat_map(|n| [2.0, 5.0].map(|m: f64| n as f64 + m.log10()));
             let inside = between.filter(|v| (start..=end).contains(v)).map(|v| self.tick(v, step));

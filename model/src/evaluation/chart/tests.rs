@@ -29,7 +29,10 @@ fn a_chart_becomes_files_that_are_what_their_names_say() {
     assert_eq!(&read("chart.pdf")[..5], b"%PDF-");
     let csv = String::from_utf8(read("chart_points.csv")).unwrap();
     assert_eq!(csv.lines().count(), 7, "{csv}");
-    assert!(csv.contains("\"errors, \"\"l1\"\" & <all>\",ours,line,0.1,0.5,,,\"error e, px (log)\",share"), "{csv}");
+    assert!(
+        csv.contains("\"errors, \"\"l1\"\" & <all>\",ours,line,0.1,0.5,,,\"error e, px (log)\",share"),
+        "{csv}"
+    );
     assert!(read("redraw.py").starts_with(b"#!"));
     let error = save(&chart, &dir.path().join("nowhere"), "chart").unwrap_err().to_string();
     assert!(error.contains("chart.svg"), "{error}");
@@ -63,7 +66,9 @@ fn a_picture_says_what_it_shows() {
 fn the_legend_stands_below_the_plot() {
     let chart = panel(vec![(0.0, 1.0), (1.0, 1.5)]);
     let text = svg(&chart);
-    let top = |text: &str| -> f64 { text.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap() };
+    let top = |text: &str| -> f64 {
+        text.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()
+    };
     let without = svg(&Chart { legend: Legend::None, ..chart });
     assert!(top(&text) > top(&without));
     assert!(text.contains(&format!("<g transform=\"translate(0 {:.0})\">", top(&without))), "{text}");
