@@ -30,10 +30,10 @@ figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4.2 * lines), 
 for axis in axes.flat[len(panels):]:
     axis.axis("off")
 for axis, (title, panel) in zip(axes.flat, panels.items()):
-    for (name, style), rows in panel.items():
+    for (name, style), rows in reversed(panel.items()):  # the first lies above
         x, y = ([float(row[key]) for row in rows] for key in "xy")
         if style == "area":
-            axis.fill(x, y, alpha=0.3, label=name)
+            axis.fill(x, y, alpha=0.3, label=name, color="grey")
             continue
         dashes, mark = STYLES[style]
         face = "none" if style in ("ring", "diamond") else None
