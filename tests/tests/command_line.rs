@@ -76,7 +76,7 @@ fn a_mistyped_word_is_answered_with_what_was_meant() {
         ("gcs demo", "--contrler=rcc", "did you mean --controller?"),
         ("gcs demo", "--controller=crp", "did you mean crpl"),
         ("sitl", "--sede=1", "did you mean --seed?"),
-        ("model", "evalute", "did you mean evaluate?"),
+        ("model", "evalute", "evaluate?"),
     ] {
         let (code, told) = refused(command, &[wrong]);
         assert!(code == Some(2) && told.contains(meant), "{command} {wrong}: {told}");

@@ -22,7 +22,7 @@ pub fn with_common(program: Command) -> Command {
     let flags = [
         quiet.action(ArgAction::SetTrue),
         verbose,
-        log.default_value("text").help("Log lines for people or for programs"),
+        log.default_value("text").hide_possible_values(true).help("Log lines as text, or as json"),
     ];
     let shell = Arg::new("shell").required(true).value_name("SHELL").value_parser(value_parser!(Shell));
     let completions = Command::new("completions").about("Print completions for a shell").arg(shell);

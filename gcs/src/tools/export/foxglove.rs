@@ -57,9 +57,9 @@ impl Log<'_> {
         self.track.begins_us * 1000 + (sample.time_s * 1e9) as u64
     }
 
-    fn put(&mut self, channel: u16, sample: &TrackSample, message: &Value) {
+    fn put(&mut self, channel: u16, sample: &TrackSample, json: &str) {
         let time = self.nanoseconds(sample);
-        self.file.message(channel, time, message.to_string().as_bytes());
+        self.file.message(channel, time, json.as_bytes());
     }
 
     fn vehicle(&mut self, system: u8) {
@@ -76,7 +76,7 @@ impl Log<'_> {
                 "latitude": latitude, "longitude": longitude, "altitude": sample.heights_m[0],
                 "position_covariance": vec![0.0; 9], "position_covariance_type": 0,
             });
-            self.put(locations, sample, &location);
+            self.put(locations, sample, &location.to_string());
             let [north, east] = sample.local_m;
             if north.is_finite() && east.is_finite() {
                 let pose = json!({
@@ -86,7 +86,7 @@ impl Log<'_> {
                         "orientation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
                     },
                 });
-                self.put(poses, sample, &pose);
+                self.put(poses, sample, &pose.to_string());
             }
         }
     }
@@ -100,7 +100,7 @@ impl Log<'_> {
         let channel =
             self.channel("/record", "crpl.Record", &json!({ "title": "crpl.Record", "type": "object" }));
         for (record, sample) in track.records.iter().zip(&track.samples) {
-            self.put(channel, sample, &serde_json::to_value(record)?);
+            self.put(channel, sample, &serde_json::to_string(record)?);
         }
         Ok(())
     }

@@ -18,6 +18,7 @@ enum Opcode {
     ChunkIndex = 0x08,
     Statistics = 0x0B,
     Metadata = 0x0C,
+    MetadataIndex = 0x0D,
     DataEnd = 0x0F,
 }
 
@@ -70,7 +71,9 @@ impl Content {
 pub struct McapLog {
     /// Header and metadata.
     head: Vec<u8>,
-    metadata: u32,
+    /// Where the metadata are, for the summary.
+    metadata: Vec<u8>,
+    notes: u32,
     /// Schemas and channels, which stand in the chunk and in the summary.
     channels: Vec<u8>,
     count: u16,
@@ -90,8 +93,11 @@ impl McapLog {
 
     /// Notes beside the messages.
     pub fn metadata(&mut self, name: &str, notes: &[(&str, &str)]) {
+        let at = self.head.len() as u64;
         Content::default().text(name).texts(notes).write(&mut self.head, Opcode::Metadata);
-        self.metadata += 1;
+        let index = Content::default().u64(at).u64(self.head.len() as u64 - at).text(name);
+        index.write(&mut self.metadata, Opcode::MetadataIndex);
+        self.notes += 1;
     }
 
     /// A topic of JSON messages with their schema; gives the channel's number.
@@ -149,6 +155,7 @@ impl McapLog {
         let chunk_index = Content::default().u64(first).u64(last).u64(chunk_at).u64(indices_at - chunk_at);
         let chunk_index = chunk_index.sized(&places.0).u64(indices).text("").u64(size).u64(size);
         chunk_index.write(&mut out, Opcode::ChunkIndex);
+        out.extend_from_slice(&self.metadata);
         Content::default().u64(summary_at).u64(0).u32(0).write(&mut out, Opcode::Footer);
         out.extend_from_slice(&MAGIC);
         out
@@ -159,13 +166,8 @@ impl McapLog {
         let each =
             counts.clone().fold(Content::default(), |all, (channel, count)| all.u16(channel).u64(count));
         let all = counts.map(|(_, count)| count).sum();
-        let head = Content::default()
-            .u64(all)
-            .u16(self.count)
-            .u32(self.count.into())
-            .u32(0)
-            .u32(self.metadata)
-            .u32(1);
+        let head =
+            Content::default().u64(all).u16(self.count).u32(self.count.into()).u32(0).u32(self.notes).u32(1);
         head.u64(first).u64(last).sized(&each.0)
     }
 }

@@ -228,7 +228,7 @@ impl<'a> Drawing<'a> {
         self.grid(text);
         // A nested picture cuts off what is outside the plot.
         let _ = writeln!(text, "<svg {clip} viewBox=\"{left} {top} {width} {height}\">");
-        for area in series.iter().filter(|s| s.style == Style::Area) {
+        for area in series.iter().rev().filter(|s| s.style == Style::Area) {
             self.area(text, area);
         }
         for series in series {

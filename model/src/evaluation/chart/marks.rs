@@ -30,7 +30,7 @@ fn shape_of(series: &Series) -> (Shape, bool, f64) {
         Style::Cross => (Shape::Cross, false, 5.0),
         Style::Dot => (Shape::Disc, true, 3.6),
         Style::Ring => (Shape::Disc, false, 3.0),
-        Style::Diamond => (Shape::Diamond, false, 8.0),
+        Style::Diamond => (Shape::Diamond, false, 9.0),
         Style::Triangle => (Shape::Triangle, true, 8.0),
         Style::Square => (Shape::Square, true, 2.5),
         Style::Line | Style::Dotted | Style::Dashed | Style::Thin | Style::Area => {
@@ -40,9 +40,17 @@ fn shape_of(series: &Series) -> (Shape, bool, f64) {
     }
 }
 
-/// The series' mark at a place in px, as an element of SVG.
-pub fn mark(series: &Series, (x, y): (f64, f64)) -> String {
-    let (shape, filled, r) = shape_of(series);
+/// The series' mark at a place in px, as elements of SVG. What others report has the series' own mark inside.
+pub fn mark(series: &Series, at: (f64, f64)) -> String {
+    let outer = drawn(series, shape_of(series), at);
+    if series.style != Style::Diamond {
+        return outer;
+    }
+    let (shape, filled) = SHAPES[series.colour % SHAPES.len()];
+    outer + &drawn(series, (shape, filled, 2.8), at)
+}
+
+fn drawn(series: &Series, (shape, filled, r): (Shape, bool, f64), (x, y): (f64, f64)) -> String {
     let rgb = series.rgb();
     let paint = if filled {
         format!("fill=\"{rgb}\"")

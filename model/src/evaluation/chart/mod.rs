@@ -205,7 +205,7 @@ pub struct Chart {
     pub legend: Legend,
     /// Whether it is one of several panels.
     pub panel: bool,
-    /// What is drawn: areas below lines, lines below marks, earlier lines over later ones.
+    /// What is drawn: areas below lines, lines below marks, and of each kind the earlier over the later.
     pub series: Vec<Series>,
     /// Horizontal dashed lines with their names.
     pub levels: Vec<(String, f64)>,

@@ -10,10 +10,10 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-STYLES = {  # style of the CSV: line, mark, filled
+STYLES = {  # style of the CSV: line, mark
     "line": ("-", None), "dotted": ("-", "o"), "dashed": ("--", None), "thin": ("-", None),
-    "cross": ("", "x"), "dot": ("", "o"), "ring": ("", "o"), "diamond": ("", "D"),
-    "triangle": ("", "^"), "square": ("", "s"), "level": ("--", None),
+    "cross": ("none", "x"), "dot": ("none", "o"), "ring": ("none", "o"), "diamond": ("none", "D"),
+    "triangle": ("none", "^"), "square": ("none", "s"), "level": ("--", None),
 }
 
 source = pathlib.Path(sys.argv[1])
@@ -30,14 +30,15 @@ figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4.2 * lines), 
 for axis in axes.flat[len(panels):]:
     axis.axis("off")
 for axis, (title, panel) in zip(axes.flat, panels.items()):
-    for (name, style), rows in panel.items():
+    for (name, style), rows in reversed(panel.items()):  # the first lies above
         x, y = ([float(row[key]) for row in rows] for key in "xy")
+        name = "" if name.isdigit() else name  # a series without a name has its number
         if style == "area":
-            axis.fill(x, y, alpha=0.3, label=name)
+            axis.fill(x, y, alpha=0.3, label=name, color="grey")
             continue
         dashes, mark = STYLES[style]
         face = "none" if style in ("ring", "diamond") else None
-        drawn = axis.plot(x, y, dashes, marker=mark, markerfacecolor=face, markersize=4, linewidth=1, label=name)
+        drawn = axis.plot(x, y, linestyle=dashes, marker=mark, markerfacecolor=face, markersize=4, linewidth=1, label=name)
         if rows[0]["low"]:
             low, high = ([float(row[key]) for row in rows] for key in ("low", "high"))
             axis.fill_between(x, low, high, alpha=0.15, color=drawn[0].get_color())

@@ -80,3 +80,15 @@ fn charts_of_a_sheet_share_their_legend() {
     let text = svg(Sheet { charts: &charts, columns: 2 });
     assert_eq!(text.matches(">c</text>").count(), 1);
 }
+
+/// The shadow's lightest contour covered the others, and the obstacle.
+#[test]
+fn the_first_of_two_areas_lies_above() {
+    let area = |grey: u8| {
+        let corners = vec![(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)];
+        Series::line("", 0, corners).styled(Style::Area).inked([grey; 3])
+    };
+    let chart = Chart { series: vec![area(10), area(200)], ..Chart::default() };
+    let text = svg(&chart);
+    assert!(text.find("rgb(200,200,200)").unwrap() < text.find("rgb(10,10,10)").unwrap());
+}
