@@ -95,13 +95,13 @@ pub fn exit_of(flight: &Flight, failed: Option<String>) -> Option<ExitWith> {
 
 impl Crew for LoggedStation {
     fn command(&mut self, percept: &Percept) -> Command {
-        let command = self.station.handle(percept);
-        self.decided = Some((percept.clone(), command));
-        command
+        self.command_at(percept, percept.telemetry.tick)
     }
 
     fn command_at(&mut self, percept: &Percept, now: Tick) -> Command {
-        self.station.handle_at(percept, now)
+        let command = self.station.handle_at(percept, now);
+        self.decided = Some((percept.clone(), command));
+        command
     }
 
     fn begin(&mut self) -> Result<Option<PathBuf>> {
