@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crpl_gcs::lab::environment::batch::{Autoreset, FlightBatch, StepReport};
-use crpl_gcs::lab::environment::{ACTION, FlightView, OpenFlight, PICTURE, Shown};
+use crpl_gcs::lab::environment::{ACTION, FlightView, OpenFlight, PICTURE, ShownNumber};
 use crpl_model::world_model::recording::RecordingFormat;
 use crpl_sitl::camera::{CHANNELS, Frame, SIDE};
 use pyo3::buffer::{Element, PyBuffer};
@@ -208,7 +208,7 @@ struct InFlight<'a> {
 }
 
 impl InFlight<'_> {
-    fn step<T: Shown + Element>(
+    fn step<T: ShownNumber + Element>(
         self,
         py: Python<'_>,
         buffers: &mut ViewBuffers<T>,

@@ -15,7 +15,7 @@ use crpl_sitl::units::Tick;
 use crpl_sitl::world::obstacles::PerObstacle;
 use nalgebra::Vector2;
 
-use super::flight_log::FlightLog;
+use super::flight_log::ActionLog;
 use super::seen::{BeliefConfig, Heard};
 use super::sighting::Sighting;
 
@@ -55,7 +55,7 @@ pub struct Belief {
     latents: Latents,
     config: BeliefConfig,
     ledger: Ledger,
-    heard: FlightLog,
+    heard: ActionLog,
 }
 
 impl Belief {
@@ -73,7 +73,7 @@ impl Belief {
             latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
             ledger: Ledger::new(config.rule),
             config,
-            heard: FlightLog::default(),
+            heard: ActionLog::default(),
         }
     }
 

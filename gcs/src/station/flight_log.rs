@@ -13,12 +13,12 @@ const KEPT: usize = 256;
 
 /// Reports by tick, and commands by tick.
 #[derive(Debug, Clone, Default)]
-pub struct FlightLog {
+pub struct ActionLog {
     reports: BTreeMap<Tick, Heard>,
     sent: BTreeMap<Tick, Held>,
 }
 
-impl FlightLog {
+impl ActionLog {
     /// A report has come.
     pub fn add(&mut self, heard: Heard) {
         self.reports.insert(heard.tick, heard);
@@ -78,8 +78,8 @@ mod tests {
 
     use super::*;
 
-    fn log(reports: &[(u64, Option<u64>, bool)], sent: u64) -> FlightLog {
-        let mut log = FlightLog::default();
+    fn log(reports: &[(u64, Option<u64>, bool)], sent: u64) -> ActionLog {
+        let mut log = ActionLog::default();
         (0..sent).for_each(|k| log.send(&Command::new(Tick(k), [k as f32, 0.0], TxPower::Low)));
         for (tick, held, outage) in reports {
             log.add(Heard {
@@ -91,7 +91,7 @@ mod tests {
         log
     }
 
-    fn ticks(log: &FlightLog, intervals: std::ops::Range<u64>) -> Vec<Option<u64>> {
+    fn ticks(log: &ActionLog, intervals: std::ops::Range<u64>) -> Vec<Option<u64>> {
         intervals.map(|k| log.expected(Tick(k)).map(|held| held.tick.0)).collect()
     }
 

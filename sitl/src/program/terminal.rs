@@ -391,7 +391,8 @@ mod tests {
     #[test]
     fn speeds_and_times_are_what_a_duration_holds() {
         for text in ["1e-300", "1e300", "0", "-1", "nan", "inf", "x"] {
-            assert!(speed(text).is_err() && (text == "0" || seconds(text).is_err()), "{text}");
+            let is_time = ["0", "1e-300"].contains(&text);
+            assert!(speed(text).is_err() && seconds(text).is_ok() == is_time, "{text}");
         }
         assert_eq!((speed("1e-6"), speed("1e9"), seconds("0")), (Ok(1e-6), Ok(1e9), Ok(0.0)));
     }

@@ -4,7 +4,7 @@ use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::FlightScore;
 use rayon::prelude::*;
 
-use super::{ACTION, FlightView, OpenFlight, Shown, Transition};
+use super::{ACTION, FlightView, OpenFlight, ShownNumber, Transition};
 
 /// What follows the end of a flight in a batch, as Gymnasium names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,7 +114,7 @@ impl FlightBatch {
     }
 
     /// Writes what every flight shows now, [`FlightView::width`] values each.
-    pub fn show<T: Shown>(&self, now: &mut [T]) {
+    pub fn show<T: ShownNumber>(&self, now: &mut [T]) {
         let width = self.view.width(&self.scenario);
         self.slots.iter().zip(now.chunks_exact_mut(width)).for_each(|(slot, out)| T::show(&slot.flight, out));
     }
@@ -122,7 +122,7 @@ impl FlightBatch {
     /// One interval of every flight. `actions` holds [`ACTION`] numbers a flight, `now` takes what the flights show
     /// then, and `last` what those that end in this step showed at their end, the others' part left as it is. A flight
     /// beyond any of the buffers is not flown. `parallel`: on the threads of the rayon pool that calls.
-    pub fn step<T: Shown>(
+    pub fn step<T: ShownNumber>(
         &mut self,
         actions: &[f32],
         reports: &mut [StepReport],
@@ -154,7 +154,7 @@ impl FlightBatch {
 }
 
 impl FlightSlot {
-    fn step<T: Shown>(
+    fn step<T: ShownNumber>(
         &mut self,
         autoreset: Autoreset,
         begin: impl Fn(u64) -> Self,

@@ -55,12 +55,12 @@ impl FlightView {
 }
 
 /// A value of an observation: numbers of [`FlightView::State`] and [`FlightView::Latent`], bytes of [`FlightView::Picture`].
-pub trait Shown: Send + Sized {
+pub trait ShownNumber: Send + Sized {
     /// Writes what a flight shows, in as far as it is of this kind and `out` has room.
     fn show(flight: &OpenFlight, out: &mut [Self]);
 }
 
-impl Shown for f32 {
+impl ShownNumber for f32 {
     fn show(flight: &OpenFlight, out: &mut [Self]) {
         match (&flight.view, &flight.belief) {
             (FlightView::Latent(_), Some(belief)) => flight.show_latents(belief, out),
@@ -70,7 +70,7 @@ impl Shown for f32 {
     }
 }
 
-impl Shown for u8 {
+impl ShownNumber for u8 {
     fn show(flight: &OpenFlight, out: &mut [Self]) {
         if matches!(flight.view, FlightView::Picture) {
             out.iter_mut().zip(flight.sim.frame().rgb()).for_each(|(slot, byte)| *slot = *byte);
@@ -222,10 +222,10 @@ mod tests {
     fn the_actions_of_a_station_give_its_records_to_the_last_bit() {
         let scenario = Scenario::named("demo").unwrap();
         let models = Models::load(None, None).unwrap();
-        let rcc = Contender::new(&models, Controller::Rcc, &scenario).unwrap().records(7).unwrap();
+        let rcc = Contender::new(&models, Controller::Rcc, &scenario).unwrap().records(0).unwrap();
         assert!(rcc.iter().any(|record| record.outage), "the test needs a held command");
         let actions: Vec<_> = rcc.iter().map(action_of).collect();
-        let flight = fly(&scenario, &FlightView::State, 7, &actions);
+        let flight = fly(&scenario, &FlightView::State, 0, &actions);
         assert_eq!(flight.records(), rcc);
         assert!(flight.is_over());
     }

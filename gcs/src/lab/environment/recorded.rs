@@ -52,7 +52,7 @@ impl OpenFlight {
 mod tests {
     use super::*;
     use crate::flight::Crew;
-    use crate::lab::environment::{FlightView, PICTURE, Shown};
+    use crate::lab::environment::{FlightView, PICTURE, ShownNumber};
     use crate::lab::record::folder::RecordingFolder;
     use crate::lab::record::recorder::{Recorder, RecordingPlan};
     use crpl_model::world_model::recording::{Recording, RecordingFormat};

@@ -24,37 +24,37 @@ enum Opcode {
 
 /// The content of a record; numbers are little-endian.
 #[derive(Debug, Clone, Default)]
-struct Content(Vec<u8>);
+struct McapContent(Vec<u8>);
 
-impl Content {
+impl McapContent {
     fn raw(mut self, bytes: &[u8]) -> Self {
         self.0.extend_from_slice(bytes);
         self
     }
 
-    fn u16(self, value: u16) -> Self {
+    fn put_u16(self, value: u16) -> Self {
         self.raw(&value.to_le_bytes())
     }
 
-    fn u32(self, value: u32) -> Self {
+    fn put_u32(self, value: u32) -> Self {
         self.raw(&value.to_le_bytes())
     }
 
-    fn u64(self, value: u64) -> Self {
+    fn put_u64(self, value: u64) -> Self {
         self.raw(&value.to_le_bytes())
     }
 
     /// Bytes behind their number.
     fn sized(self, bytes: &[u8]) -> Self {
-        self.u32(bytes.len() as u32).raw(bytes)
+        self.put_u32(bytes.len() as u32).raw(bytes)
     }
 
-    fn text(self, text: &str) -> Self {
+    fn put_text(self, text: &str) -> Self {
         self.sized(text.as_bytes())
     }
 
     fn texts(self, map: &[(&str, &str)]) -> Self {
-        let pairs = map.iter().fold(Self::default(), |all, (key, value)| all.text(key).text(value));
+        let pairs = map.iter().fold(Self::default(), |all, (key, value)| all.put_text(key).put_text(value));
         self.sized(&pairs.0)
     }
 
@@ -87,15 +87,15 @@ impl McapLog {
     #[must_use]
     pub fn new(library: &str) -> Self {
         let mut head = MAGIC.to_vec();
-        Content::default().text("").text(library).write(&mut head, Opcode::Header);
+        McapContent::default().put_text("").put_text(library).write(&mut head, Opcode::Header);
         Self { head, ..Self::default() }
     }
 
     /// Notes beside the messages.
     pub fn metadata(&mut self, name: &str, notes: &[(&str, &str)]) {
         let at = self.head.len() as u64;
-        Content::default().text(name).texts(notes).write(&mut self.head, Opcode::Metadata);
-        let index = Content::default().u64(at).u64(self.head.len() as u64 - at).text(name);
+        McapContent::default().put_text(name).texts(notes).write(&mut self.head, Opcode::Metadata);
+        let index = McapContent::default().put_u64(at).put_u64(self.head.len() as u64 - at).put_text(name);
         index.write(&mut self.metadata, Opcode::MetadataIndex);
         self.notes += 1;
     }
@@ -104,9 +104,11 @@ impl McapLog {
     pub fn channel(&mut self, topic: &str, name: &str, schema: &str) -> u16 {
         self.count += 1;
         let id = self.count;
-        let schema = Content::default().u16(id).text(name).text("jsonschema").text(schema);
+        let schema =
+            McapContent::default().put_u16(id).put_text(name).put_text("jsonschema").put_text(schema);
         schema.write(&mut self.channels, Opcode::Schema);
-        let channel = Content::default().u16(id).u16(id).text(topic).text("json").texts(&[]);
+        let channel =
+            McapContent::default().put_u16(id).put_u16(id).put_text(topic).put_text("json").texts(&[]);
         channel.write(&mut self.channels, Opcode::Channel);
         self.index.insert(id, Vec::new());
         id
@@ -116,7 +118,8 @@ impl McapLog {
     pub fn message(&mut self, channel: u16, time: u64, data: &[u8]) {
         let index = self.index.entry(channel).or_default();
         index.push((time, self.messages.len() as u64));
-        let head = Content::default().u16(channel).u32(index.len() as u32).u64(time).u64(time);
+        let head =
+            McapContent::default().put_u16(channel).put_u32(index.len() as u32).put_u64(time).put_u64(time);
         head.raw(data).write(&mut self.messages, Opcode::Message);
     }
 
@@ -134,40 +137,60 @@ impl McapLog {
         let records = [self.channels.as_slice(), &self.messages].concat();
         let size = records.len() as u64;
         let chunk_at = out.len() as u64;
-        let chunk = Content::default().u64(first).u64(last).u64(size).u32(0).text("").u64(size).raw(&records);
+        let chunk = McapContent::default()
+            .put_u64(first)
+            .put_u64(last)
+            .put_u64(size)
+            .put_u32(0)
+            .put_text("")
+            .put_u64(size)
+            .raw(&records);
         chunk.write(&mut out, Opcode::Chunk);
         let indices_at = out.len() as u64;
-        let mut places = Content::default();
+        let mut places = McapContent::default();
         for (channel, messages) in &self.index {
-            places = places.u16(*channel).u64(out.len() as u64);
+            places = places.put_u16(*channel).put_u64(out.len() as u64);
             let shift = self.channels.len() as u64;
             let mut entries: Vec<(u64, u64)> =
                 messages.iter().map(|(time, at)| (*time, at + shift)).collect();
             entries.sort_unstable();
-            let entries = entries.iter().fold(Content::default(), |all, (time, at)| all.u64(*time).u64(*at));
-            Content::default().u16(*channel).sized(&entries.0).write(&mut out, Opcode::MessageIndex);
+            let entries = entries
+                .iter()
+                .fold(McapContent::default(), |all, (time, at)| all.put_u64(*time).put_u64(*at));
+            McapContent::default().put_u16(*channel).sized(&entries.0).write(&mut out, Opcode::MessageIndex);
         }
         let indices = out.len() as u64 - indices_at;
-        Content::default().u32(0).write(&mut out, Opcode::DataEnd);
+        McapContent::default().put_u32(0).write(&mut out, Opcode::DataEnd);
         let summary_at = out.len() as u64;
         out.extend_from_slice(&self.channels);
         self.statistics(first, last).write(&mut out, Opcode::Statistics);
-        let chunk_index = Content::default().u64(first).u64(last).u64(chunk_at).u64(indices_at - chunk_at);
-        let chunk_index = chunk_index.sized(&places.0).u64(indices).text("").u64(size).u64(size);
+        let chunk_index = McapContent::default()
+            .put_u64(first)
+            .put_u64(last)
+            .put_u64(chunk_at)
+            .put_u64(indices_at - chunk_at);
+        let chunk_index =
+            chunk_index.sized(&places.0).put_u64(indices).put_text("").put_u64(size).put_u64(size);
         chunk_index.write(&mut out, Opcode::ChunkIndex);
         out.extend_from_slice(&self.metadata);
-        Content::default().u64(summary_at).u64(0).u32(0).write(&mut out, Opcode::Footer);
+        McapContent::default().put_u64(summary_at).put_u64(0).put_u32(0).write(&mut out, Opcode::Footer);
         out.extend_from_slice(&MAGIC);
         out
     }
 
-    fn statistics(&self, first: u64, last: u64) -> Content {
+    fn statistics(&self, first: u64, last: u64) -> McapContent {
         let counts = self.index.iter().map(|(channel, messages)| (*channel, messages.len() as u64));
-        let each =
-            counts.clone().fold(Content::default(), |all, (channel, count)| all.u16(channel).u64(count));
+        let each = counts
+            .clone()
+            .fold(McapContent::default(), |all, (channel, count)| all.put_u16(channel).put_u64(count));
         let all = counts.map(|(_, count)| count).sum();
-        let head =
-            Content::default().u64(all).u16(self.count).u32(self.count.into()).u32(0).u32(self.notes).u32(1);
-        head.u64(first).u64(last).sized(&each.0)
+        let head = McapContent::default()
+            .put_u64(all)
+            .put_u16(self.count)
+            .put_u32(self.count.into())
+            .put_u32(0)
+            .put_u32(self.notes)
+            .put_u32(1);
+        head.put_u64(first).put_u64(last).sized(&each.0)
     }
 }

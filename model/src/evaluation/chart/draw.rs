@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use super::marks::mark;
-use super::ranges::Axis;
+use super::ranges::ChartAxis;
 use super::{Chart, Legend, Series, Sheet, Style};
 
 /// The text of an SVG file.
@@ -203,7 +203,7 @@ impl Chart {
 struct Drawing<'a> {
     chart: &'a Chart,
     look: &'static Look,
-    axes: (Axis, Axis),
+    axes: (ChartAxis, ChartAxis),
     /// Left, top, width and height of the plot.
     plot: [f64; 4],
 }

@@ -4,7 +4,7 @@ use super::{Series, Style};
 
 /// A shape around the origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shape {
+enum MarkShape {
     Disc,
     Square,
     Triangle,
@@ -13,26 +13,26 @@ enum Shape {
 }
 
 /// The shapes of lines' marks by the index of their colour, and whether they are filled.
-const SHAPES: [(Shape, bool); 8] = [
-    (Shape::Disc, true),
-    (Shape::Square, false),
-    (Shape::Triangle, true),
-    (Shape::Disc, false),
-    (Shape::Square, true),
-    (Shape::Diamond, false),
-    (Shape::Diamond, true),
-    (Shape::Triangle, false),
+const SHAPES: [(MarkShape, bool); 8] = [
+    (MarkShape::Disc, true),
+    (MarkShape::Square, false),
+    (MarkShape::Triangle, true),
+    (MarkShape::Disc, false),
+    (MarkShape::Square, true),
+    (MarkShape::Diamond, false),
+    (MarkShape::Diamond, true),
+    (MarkShape::Triangle, false),
 ];
 
 /// Shape, whether it is filled, and its radius in px.
-fn shape_of(series: &Series) -> (Shape, bool, f64) {
+fn shape_of(series: &Series) -> (MarkShape, bool, f64) {
     match series.style {
-        Style::Cross => (Shape::Cross, false, 5.0),
-        Style::Dot => (Shape::Disc, true, 3.6),
-        Style::Ring => (Shape::Disc, false, 3.0),
-        Style::Diamond => (Shape::Diamond, false, 9.0),
-        Style::Triangle => (Shape::Triangle, true, 8.0),
-        Style::Square => (Shape::Square, true, 2.5),
+        Style::Cross => (MarkShape::Cross, false, 5.0),
+        Style::Dot => (MarkShape::Disc, true, 3.6),
+        Style::Ring => (MarkShape::Disc, false, 3.0),
+        Style::Diamond => (MarkShape::Diamond, false, 9.0),
+        Style::Triangle => (MarkShape::Triangle, true, 8.0),
+        Style::Square => (MarkShape::Square, true, 2.5),
         Style::Line | Style::Dotted | Style::Dashed | Style::Thin | Style::Area => {
             let (shape, filled) = SHAPES[series.colour % SHAPES.len()];
             (shape, filled, 4.0)
@@ -50,12 +50,12 @@ pub fn mark(series: &Series, at: (f64, f64)) -> String {
     outer + &drawn(series, (shape, filled, 2.8), at)
 }
 
-fn drawn(series: &Series, (shape, filled, r): (Shape, bool, f64), (x, y): (f64, f64)) -> String {
+fn drawn(series: &Series, (shape, filled, r): (MarkShape, bool, f64), (x, y): (f64, f64)) -> String {
     let rgb = series.rgb();
     let paint = if filled {
         format!("fill=\"{rgb}\"")
     } else {
-        let inside = if shape == Shape::Cross { "none" } else { "white" };
+        let inside = if shape == MarkShape::Cross { "none" } else { "white" };
         format!("fill=\"{inside}\" stroke=\"{rgb}\" stroke-width=\"1.6\"")
     };
     let corners = |corners: &[(f64, f64)]| {
@@ -64,11 +64,11 @@ fn drawn(series: &Series, (shape, filled, r): (Shape, bool, f64), (x, y): (f64, 
         format!("<path d=\"M{}Z\" {paint}/>", places.join("L"))
     };
     match shape {
-        Shape::Disc => format!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{r}\" {paint}/>"),
-        Shape::Square => corners(&[(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)]),
-        Shape::Triangle => corners(&[(0.0, -1.1), (1.0, 0.75), (-1.0, 0.75)]),
-        Shape::Diamond => corners(&[(0.0, -1.1), (0.9, 0.0), (0.0, 1.1), (-0.9, 0.0)]),
-        Shape::Cross => {
+        MarkShape::Disc => format!("<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{r}\" {paint}/>"),
+        MarkShape::Square => corners(&[(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)]),
+        MarkShape::Triangle => corners(&[(0.0, -1.1), (1.0, 0.75), (-1.0, 0.75)]),
+        MarkShape::Diamond => corners(&[(0.0, -1.1), (0.9, 0.0), (0.0, 1.1), (-0.9, 0.0)]),
+        MarkShape::Cross => {
             let (l, t, e, b) = (x - r, y - r, x + r, y + r);
             format!("<path d=\"M{l:.2} {t:.2}L{e:.2} {b:.2}M{l:.2} {b:.2}L{e:.2} {t:.2}\" {paint}/>")
         }
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn marks_of_lines_differ_without_colour() {
-        let marks: Vec<(Shape, bool)> = (0..SHAPES.len())
+        let marks: Vec<(MarkShape, bool)> = (0..SHAPES.len())
             .map(|n| Series { colour: n, ..Series::default() })
             .map(|s| {
                 let (shape, filled, _) = shape_of(&s);

@@ -6,14 +6,14 @@ use super::Chart;
 
 /// An axis: its range, in powers of ten if it is logarithmic.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Axis {
+pub struct ChartAxis {
     /// Whether it is logarithmic.
     pub log: bool,
     /// What it shows, as it is drawn.
     pub range: Range<f64>,
 }
 
-impl Axis {
+impl ChartAxis {
     /// Where a value stands: 0 at the range's beginning, 1 at its end.
     pub fn at(&self, value: f64) -> f64 {
         (scaled(self.log, value) - self.range.start) / (self.range.end - self.range.start)
@@ -47,7 +47,7 @@ impl Axis {
             let digits = (-drawn.floor()).clamp(0.0, 9.0) as usize;
             return (value, format!("{value:.digits$}"));
         }
-        let digits = (-step.log10() + 1e-9).ceil().clamp(0.0, 9.0) as usize;
+        let digits = (-step.log10() - 1e-9).ceil().clamp(0.0, 9.0) as usize;
         let text = format!("{drawn:.digits$}");
         // A negative number that rounds to zero is zero.
         let is_zero = text.trim_start_matches('-').chars().all(|c| matches!(c, '0' | '.'));
@@ -82,13 +82,17 @@ fn range(given: Option<[f64; 2]>, log: bool, values: impl Iterator<Item = f64>) 
     }
     let (low, high) = hull(values.map(|v| scaled(log, v)));
     let size = low.abs().max(high.abs());
-    let margin = if high - low > 1e-6 * size { 0.03 * (high - low) } else { (0.2 * size).max(1e-9) };
+    let margin = if high - low > 1e-6 * size {
+        0.03 * (high - low)
+    } else {
+        if size > 0.0 { 0.2 * size } else { 0.1 }
+    };
     low - margin..high + margin
 }
 
 impl Chart {
     /// The axes of x and y, which hold all that is drawn.
-    pub fn axes(&self) -> (Axis, Axis) {
+    pub fn axes(&self) -> (ChartAxis, ChartAxis) {
         let points = || self.series.iter().flat_map(|s| s.points.iter().copied());
         let bands = || self.series.iter().flat_map(|s| s.band.iter().copied());
         let xs = points().map(|(x, y)| if y.is_finite() { x } else { f64::NAN });
@@ -103,7 +107,7 @@ impl Chart {
             let bottom = if low < 0.0 { low - 0.05 * height } else { 0.0 };
             bottom..low + 1.08 * height
         };
-        (Axis { log: self.log_x, range: x }, Axis { log: self.log_y, range: y })
+        (ChartAxis { log: self.log_x, range: x }, ChartAxis { log: self.log_y, range: y })
     }
 }
 
@@ -112,7 +116,7 @@ mod tests {
     use super::*;
 
     fn labels(log: bool, range: Range<f64>, about: usize) -> Vec<String> {
-        Axis { log, range }.ticks(about).into_iter().map(|(_, label)| label).collect()
+        ChartAxis { log, range }.ticks(about).into_iter().map(|(_, label)| label).collect()
     }
 
     #[test]
@@ -127,7 +131,7 @@ mod tests {
     #[test]
     fn no_label_stands_twice() {
         for value in [2.5, 0.0, -3.0, 1e-7, 123_456.0] {
-            let axis = Axis { log: false, range: range(None, false, [value].into_iter()) };
+            let axis = ChartAxis { log: false, range: range(None, false, [value].into_iter()) };
             let mut labels: Vec<String> = axis.ticks(6).into_iter().map(|(_, label)| label).collect();
             let all = labels.len();
             labels.dedup();
