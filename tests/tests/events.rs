@@ -255,7 +255,8 @@ fn gcs_fly_never_mixes_or_overwrites_flights() {
     };
     fly(&[]).good().unwrap();
     let before = files(&out);
-    assert_eq!(before.len(), 6, "{:?}", before.iter().map(|(path, _)| path).collect::<Vec<_>>());
+    // Configuration, manifest, record, log, page; the figure in three formats, its points and its script.
+    assert_eq!(before.len(), 10, "{:?}", before.iter().map(|(path, _)| path).collect::<Vec<_>>());
     let refused = fly(&[]);
     assert_eq!(refused.status.code(), Some(1));
     assert!(refused.stderr.contains("holds a flight already"), "{}", refused.stderr);

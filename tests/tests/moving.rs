@@ -122,7 +122,7 @@ fn over_udp_as_in_process(config: &Path, controller: Controller, obstacles: usiz
         assert_eq!(record.obstacles.len(), obstacles, "{line}");
     }
     let plot = read(&out.join("path.svg"));
-    assert!(plot.contains("#46825A"), "the plot shows one obstacle");
+    assert!(plot.contains("rgb(70,130,90)"), "the plot shows one obstacle");
 }
 
 #[test]

@@ -5,8 +5,9 @@
 //! ENCAPSULATED_DATA            seqnr 0.. packets, 253 bytes each, the last padded with zeros
 //! ```
 //!
-//! The protocol has no image number, so the PNG names its tick itself (tEXt chunk `tick`), and its
-//! own checksums reject an image that was glued from two. Encoding is lossless and deterministic.
+//! The protocol has no image number, so the PNG names its tick itself (tEXt chunk `tick`) and the checksum of its
+//! pixels (tEXt chunk `crc32`): with a PNG's own checksums, which are of its parts, they reject an image that was
+//! glued from two. Encoding is lossless and deterministic.
 
 use std::collections::BTreeMap;
 
@@ -29,6 +30,7 @@ const HANDSHAKE_FRAME: usize = 13 + 12;
 /// No frame of ours is as large; a handshake that announces more is not believed.
 const MAX_SIZE: usize = 64 * 1024;
 const KEYWORD: &str = "tick";
+const CHECKSUM: &str = "crc32";
 
 /// Why bytes are no frame.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +41,9 @@ pub enum ImageError {
     /// Another size or pixel format.
     #[error("the frame is {0}, expected 100x100 RGB of 8 bits")]
     Format(String),
+    /// The pixels are not those of the tick.
+    #[error("the frame's pixels have another checksum than it names")]
+    Glued,
     /// No tick in it.
     #[error("the frame does not name its tick")]
     NoTick,
@@ -57,6 +62,8 @@ pub fn png_from_frame(frame: &Frame, tick: Tick) -> Result<Vec<u8>, ImageError> 
     encoder.set_deflate_compression(png::DeflateCompression::FdeflateUltraFast);
     encoder.set_filter(png::Filter::Up);
     encoder.add_text_chunk(KEYWORD.into(), tick.0.to_string()).map_err(failed)?;
+    let checksum = format!("{:08x}", crc32fast::hash(frame.rgb()));
+    encoder.add_text_chunk(CHECKSUM.into(), checksum).map_err(failed)?;
     let mut writer = encoder.write_header().map_err(failed)?;
     writer.write_image_data(frame.rgb()).map_err(failed)?;
     writer.finish().map_err(failed)?;
@@ -75,7 +82,7 @@ pub fn frame_from_png(bytes: &[u8]) -> Result<(Tick, Frame), ImageError> {
 /// The frame in a PNG of anybody's, and its tick if it names one.
 ///
 /// # Errors
-/// The bytes are no PNG, or none of a frame's size.
+/// The bytes are no PNG, or none of a frame's size, or the pixels have another checksum than it names.
 pub fn picture_from_png(bytes: &[u8]) -> Result<(Option<Tick>, Frame), ImageError> {
     let failed = |error: png::DecodingError| ImageError::Png(error.to_string());
     let limits = png::Limits { bytes: 4 << 20 };
@@ -88,11 +95,15 @@ pub fn picture_from_png(bytes: &[u8]) -> Result<(Option<Tick>, Frame), ImageErro
         let format = format!("{width}x{height} {:?} {:?}", info.color_type, info.bit_depth);
         return Err(ImageError::Format(format));
     }
-    let texts = info.uncompressed_latin1_text.iter();
-    let tick = texts.filter(|t| t.keyword == KEYWORD).find_map(|t| t.text.parse().ok()).map(Tick);
+    let texts = |keyword| info.uncompressed_latin1_text.iter().filter(move |t| t.keyword == keyword);
+    let tick = texts(KEYWORD).find_map(|t| t.text.parse().ok()).map(Tick);
+    let checksum = texts(CHECKSUM).find_map(|t| u32::from_str_radix(&t.text, 16).ok());
     let mut pixels = vec![0; SIDE * SIDE * 3];
     reader.next_frame(&mut pixels).map_err(failed)?;
     reader.finish().map_err(failed)?;
+    if checksum.is_some_and(|checksum| checksum != crc32fast::hash(&pixels)) {
+        return Err(ImageError::Glued);
+    }
     let frame = Frame::from_rgb(pixels).ok_or_else(|| ImageError::Format("cut short".into()))?;
     Ok((tick, frame))
 }
@@ -309,6 +320,20 @@ mod tests {
         assert_eq!(feed(&mut images, &glued), None);
         assert_eq!(images.rejected(), 1);
         assert_eq!(feed(&mut images, &new), Some((Tick(6), picture(0.32))));
+    }
+
+    /// Late parts of the last picture under the new one's name: a flight in lockstep saw the picture before.
+    #[test]
+    fn a_new_tick_with_the_old_pixels_is_no_image() {
+        let length = |frame: &Frame| png_from_frame(frame, Tick(5)).unwrap().len();
+        let old = picture(0.31);
+        let mut others = (1..500).map(|k| picture(0.31 + 0.001 * f64::from(k)));
+        let new = others.find(|new| length(new) == length(&old) && *new != old).unwrap();
+        // The announcement and the chunk with the tick and the checksum; then the old picture's pixels.
+        let [old, new] = [packets(&old, 5), packets(&new, 6)];
+        let mut images = Reassembler::default();
+        assert_eq!(feed(&mut images, new[..2].iter().chain(&old[2..])), None);
+        assert_eq!(images.rejected(), 1);
     }
 
     #[test]
