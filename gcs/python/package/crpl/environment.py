@@ -102,7 +102,7 @@ class Flight(gymnasium.Env[Observation, Action]):
         obs: Obs = "state",
         *,
         actions: Literal["continuous", "discrete"] = "continuous",
-        world: WorldModel | str = "centroid",
+        world: WorldModel | str = "learned",
         render_mode: str | None = None,
     ) -> None:
         self._batch = _Batch(of, obs, 1, "disabled", 1, world)
@@ -168,7 +168,7 @@ class FlightVector(gymnasium.vector.VectorEnv[Observation, Action, NDArray[Any]]
         obs: Obs = "state",
         *,
         actions: Literal["continuous", "discrete"] = "continuous",
-        world: WorldModel | str = "centroid",
+        world: WorldModel | str = "learned",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,
         copy: bool = True,

@@ -55,7 +55,7 @@ def score(
     obs: Obs = "state",
     actions: Literal["continuous", "discrete"] = "continuous",
     batched: bool | None = None,
-    world: WorldModel | str = "centroid",
+    world: WorldModel | str = "learned",
     name: str = "policy",
     threads: int = 1,
 ) -> pd.DataFrame:

@@ -46,7 +46,7 @@ def record_dataset(
         return _crpl.explore(folder, source(parameters), episodes, pictures, seed, png)
     parameters = scenario(parameters, horizon=max(pictures - 1, 1))
     for episode in range(first, episodes):
-        batch = _Batch(parameters, "image", 1, "disabled", 1, "centroid")
+        batch = _Batch(parameters, "image", 1, "disabled", 1, "learned")
         batch.flights.reset(0, seed + episode)
         decide = _decider(policy, None, 1)
         shown = [batch.show()]

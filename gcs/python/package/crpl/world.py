@@ -28,7 +28,7 @@ class WorldModel:
         self.compiled = compiled
 
     @classmethod
-    def load(cls, name: str | os.PathLike[str] = "centroid") -> "WorldModel":
+    def load(cls, name: str | os.PathLike[str] = "learned") -> "WorldModel":
         """A built-in one, "centroid" or "learned", or the folder of a checkpoint."""
         return cls(_crpl.WorldModel.load(name))
 
