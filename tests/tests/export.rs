@@ -1,7 +1,5 @@
 //! `gcs export`: what others read in it.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
-
 use tests::{program, python};
 
 #[test]

@@ -209,7 +209,9 @@ mod tests {
 
     fn fly(scenario: &Scenario, view: &FlightView, seed: u64, actions: &[[f32; ACTION]]) -> OpenFlight {
         let mut flight = OpenFlight::new(scenario, view, seed);
-        actions.iter().for_each(|action| drop(flight.step(*action)));
+        for action in actions {
+            let _ = flight.step(*action);
+        }
         flight
     }
 
