@@ -10,9 +10,12 @@ pub struct CameraFlag {
     /// Camera: TOML file or clean, hard, harder, or another name of docs/camera.md [default: the scenario's]
     #[arg(long, value_name = "FILE|NAME")]
     pub camera: Option<String>,
-    /// Another value of a key of the scenario, such as radio.b_dt=2.5, goal[1]=0.3 or
-    /// obstacle[0].position=[0.5,0.4]; repeatable
-    #[arg(long, value_name = "KEY=VALUE")]
+    /// Other values of the scenario's keys.
+    #[arg(
+        help = "Another value of a key of the scenario, such as radio.b_dt=2.5, goal[1]=0.3 or obstacle[0].position=[0.5,0.4]; repeatable",
+        long,
+        value_name = "KEY=VALUE"
+    )]
     pub set: Vec<String>,
 }
 

@@ -6,8 +6,8 @@
 //! | time | what happens |
 //! |---|---|
 //! | 0 | the vehicle sends its report; its camera takes a picture, if the one before has left |
-//! | 0 to [`DECIDES`] Δt | what arrives is heard |
-//! | [`DECIDES`] Δt | the station decides, from what has arrived, for this interval |
+//! | 0 to `DECIDES` Δt | what arrives is heard |
+//! | `DECIDES` Δt | the station decides, from what has arrived, for this interval |
 //! | to Δt | the command that has arrived by then is flown in this interval |
 //!
 //! A report, with its latents if they are sent, goes when the one before has left. The last line is the paper's: a packet takes up to Δt, and is flown in the interval in which it was sent. A report

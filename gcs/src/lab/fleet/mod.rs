@@ -2,7 +2,7 @@
 //!
 //! Every second vehicle flies the other way: from the scenario's goal to its start, in the mirror image of the
 //! scenario, so that one policy flies all of them. They leave in pairs, [`FleetPlan::headway`] intervals apart. One that
-//! has stayed at its goal for [`LANDS`] intervals lands and leaves the field. Commands share the bandwidth as a
+//! has stayed at its goal for `LANDS` intervals lands and leaves the field. Commands share the bandwidth as a
 //! [`Scheduler`] says; reports and pictures arrive, as in the paper. A collision of two vehicles is counted, and both
 //! fly on.
 

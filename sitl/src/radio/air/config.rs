@@ -1,6 +1,6 @@
 //! A radio as a file: TOML that holds what differs from a preset, with ranges that name the key.
 //!
-//! Here is what can be in a file; [`file`] reads one and holds the presets, `check` holds the ranges.
+//! Here is what can be in a file; [`mod@file`] reads one and holds the presets, `check` holds the ranges.
 
 mod check;
 pub mod file;
