@@ -69,7 +69,7 @@ fn every_obstacle_of_the_scenario_arrives() {
 #[test]
 fn reports_are_read_on_when_the_stamps_come_round() {
     let round = 2_u64.pow(32) / 400;
-    let ticks = [round - 100, round - 2, round - 1, round, round + 1, round + 9_000, round];
+    let ticks = [round - 100, round - 2, round - 1, round, round + 1, round, round + 9_000, round + 18_000];
     let mut reader = TelemetryReader::default();
     for tick in ticks {
         let sent = report(tick);
@@ -77,7 +77,7 @@ fn reports_are_read_on_when_the_stamps_come_round() {
             packets(&sent).iter().filter_map(|packet| reader.push(packet, &clock())).collect();
         assert_eq!(heard, [sent], "{tick}");
     }
-    // A vehicle that has booted anew begins with its first tick.
+    // A vehicle that has booted anew, two hours later, begins with its first tick.
     let sent = report(3);
     let heard: Vec<_> = packets(&sent).iter().filter_map(|packet| reader.push(packet, &clock())).collect();
     assert_eq!((heard, reader.malformed()), (vec![sent], 0));
