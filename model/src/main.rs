@@ -7,6 +7,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
+use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{self, Run};
 use crpl_model::training::{ablation_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
@@ -70,6 +71,9 @@ struct Train {
     /// Backend of burn, the tensor library
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
+    /// Where the learned encoder is trained; the rest stays on the CPU
+    #[arg(long, value_enum, default_value_t)]
+    device: EncoderDevice,
     /// Folder written by `model collect` [default: collect new data]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -182,8 +186,13 @@ fn run(args: &Train) -> anyhow::Result<()> {
         config = config.quick();
         tracing::warn!("--quick: less data and fewer steps; these are not the figures of the full recipe");
     }
+    anyhow::ensure!(
+        config.learned.is_some() || args.device == EncoderDevice::Cpu,
+        "--device: the configuration has no [learned], whose encoder alone is trained on a device"
+    );
     let run = Run {
         backend: args.backend,
+        device: args.device,
         out: args.out.clone(),
         data: args.data.clone(),
         resume: args.resume,
@@ -196,6 +205,7 @@ fn run(args: &Train) -> anyhow::Result<()> {
             "out": args.out,
             "seed": config.seed,
             "backend": args.backend,
+            "device": args.device,
             "metrics": model.card.metrics,
             "alarms": diagnostics,
             "quick": args.quick,

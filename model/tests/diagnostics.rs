@@ -3,6 +3,7 @@
 use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation::diagnostics::{CollapseCheck, LatentHalf};
 use crpl_model::heads::labels::HeadsConfig;
+use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{Run, TrainError, train, without_heads};
 use crpl_model::world_model::config::{DataConfig, EvaluationConfig, PredictorConfig, TrainConfig};
 use crpl_model::world_model::stages::{Gradient, GradientLoss, Init, PsiStart, Stages};
@@ -83,6 +84,7 @@ fn a_model_with_an_alarm_does_not_ship() {
     let config = TrainConfig { stages: Stages { init: Init::Kaiming, ..Stages::default() }, ..small() };
     let run = Run {
         backend: Backend::Flex,
+        device: EncoderDevice::default(),
         out: dir.path().into(),
         data: None,
         resume: false,

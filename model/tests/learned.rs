@@ -7,7 +7,10 @@ use std::path::Path;
 use crpl_model::encoder::BuiltIn;
 use crpl_model::encoder::votes::VoteWeights;
 use crpl_model::evaluation::hard::{self, HardReport, HardRow};
-use crpl_model::training::learned::{self, LearnedConfig};
+#[cfg(feature = "train")]
+use crpl_model::training::learned::device::DevicePasses;
+use crpl_model::training::learned::passes::{CpuPasses, Passes};
+use crpl_model::training::learned::{self, EncoderRun, LearnedConfig};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::{Recording, RecordingFormat, TRUTH};
@@ -65,20 +68,39 @@ fn an_interrupted_training_ends_with_the_bytes_of_one_that_was_not() {
     // Stops after step 6 of 7 with the state of that step on the disk, and goes on.
     let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         let mut watch = |step: usize, _: &VoteWeights| assert!(step < 7, "stopped");
-        learned::train_watched(
-            &recording,
-            &config,
-            None,
-            &Noise::new(5),
-            Some(progress.path()),
-            &bar,
-            &mut watch,
-        )
+        let passes = &mut CpuPasses::new(&config);
+        let run = EncoderRun { passes, dir: Some(progress.path()), bar: &bar, watch: &mut watch };
+        learned::train_on(&recording, &config, None, &Noise::new(5), run)
     }));
     assert!(stopped.is_err());
     let resumed =
         learned::train(&recording, &config, None, &Noise::new(5), Some(progress.path()), &bar).unwrap();
     assert_eq!(resumed, unbroken);
+}
+
+/// `--device`: the passes of a device make the same steps. Adam divides by the gradient's own size, so that a weight
+/// whose gradient is all rounding may step the other way: such weights are few.
+#[cfg(feature = "train")]
+#[test]
+fn burns_passes_train_what_ours_train() {
+    let dir = tempfile::tempdir().unwrap();
+    record(dir.path());
+    let recording = Recording::open(dir.path(), None).unwrap();
+    let config = small(3);
+    let run = |passes: &mut dyn Passes| {
+        let bar = ProgressBar::hidden();
+        let run = EncoderRun { passes, dir: None, bar: &bar, watch: &mut |_, _| {} };
+        learned::train_on(&recording, &config, None, &Noise::new(5), run).unwrap()
+    };
+    let ours = run(&mut CpuPasses::new(&config));
+    let flex = crpl_model::encoder::module::Backend::Flex.device().unwrap();
+    let burns = run(&mut DevicePasses::new(flex));
+    let start = VoteWeights::random(&Noise::new(5));
+    let flat = |weights: &VoteWeights| weights.parts().concat();
+    let (ours, burns, start) = (flat(&ours), flat(&burns), flat(&start));
+    let moved = ours.iter().zip(&start).map(|(a, b)| (a - b).abs()).sum::<f32>();
+    let apart = ours.iter().zip(&burns).map(|(a, b)| (a - b).abs()).sum::<f32>();
+    assert!(moved > 0.0 && apart < 0.01 * moved, "{apart} apart after {moved}");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
 use crpl_model::heads::labels::HeadsConfig;
 use crpl_model::predictor::NetworksConfig;
+use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{Run, TrainError, train};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{
@@ -40,7 +41,17 @@ fn small() -> TrainConfig {
 }
 
 fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainError> {
-    go(&small(), &Run { backend, out: out.into(), data: None, resume, stopwatch: Stopwatch::default() })
+    go(
+        &small(),
+        &Run {
+            backend,
+            device: EncoderDevice::default(),
+            out: out.into(),
+            data: None,
+            resume,
+            stopwatch: Stopwatch::default(),
+        },
+    )
 }
 
 fn go(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
@@ -104,6 +115,7 @@ fn another_configuration_does_not_go_on_with_the_run() {
     let other = TrainConfig { seed: 5, ..small() };
     let run = Run {
         backend: Backend::Flex,
+        device: EncoderDevice::default(),
         out: dir.path().into(),
         data: None,
         resume: true,
@@ -168,6 +180,7 @@ fn a_gradient_stage_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
     let dir = tempfile::tempdir().unwrap();
     let run = |out: &Path, resume| Run {
         backend: Backend::Flex,
+        device: EncoderDevice::default(),
         out: out.into(),
         data: None,
         resume,

@@ -28,10 +28,15 @@ pub enum Backend {
     Ndarray,
 }
 
-/// The program was built without this backend.
+/// The program was built without this backend or device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("backend ndarray is not in this build: build with the cargo feature `ndarray`")]
-pub struct NoBackend;
+#[error("{kind} {name} is not in this build: build with the cargo feature `{name}`")]
+pub struct NoBackend {
+    /// `backend` or `device`.
+    pub kind: &'static str,
+    /// Its name, and that of the cargo feature.
+    pub name: &'static str,
+}
 
 impl Backend {
     /// burn's handle of the backend.
@@ -63,7 +68,7 @@ fn ndarray() -> Result<Device, NoBackend> {
 
 #[cfg(not(feature = "ndarray"))]
 fn ndarray() -> Result<Device, NoBackend> {
-    Err(NoBackend)
+    Err(NoBackend { kind: "backend", name: "ndarray" })
 }
 
 /// Frames as the network reads them.

@@ -29,6 +29,7 @@ use crate::training::cache::{self, CacheError, StageCache};
 use crate::training::closed_form::FitError;
 use crate::training::fitting::{self, Planes, TrainContext, TrainData};
 use crate::training::gradient::{self, GradientError};
+use crate::training::learned::device::EncoderDevice;
 use crate::training::learned::{self, LearnedError};
 use crate::training::predictors::{self, Trained};
 use crate::world_model::card::{Card, FitCheck};
@@ -97,6 +98,8 @@ pub enum TrainError {
 pub struct Run {
     /// burn's backend.
     pub backend: Backend,
+    /// Where the learned encoder's passes run.
+    pub device: EncoderDevice,
     /// Folder of the checkpoint; the stages of an unfinished run are in `stages` inside it.
     pub out: PathBuf,
     /// A dataset of `model collect` instead of a new one.
@@ -105,6 +108,17 @@ pub struct Run {
     pub resume: bool,
     /// Started with the run: the card says what training has cost.
     pub stopwatch: Stopwatch,
+}
+
+impl Run {
+    /// What computed, for the card.
+    #[must_use]
+    pub fn backends(&self) -> String {
+        match self.device {
+            EncoderDevice::Cpu => self.backend.name().into(),
+            EncoderDevice::Wgpu => format!("{}; encoder on wgpu", self.backend.name()),
+        }
+    }
 }
 
 /// Where a model goes that does not ship, inside the run's folder.

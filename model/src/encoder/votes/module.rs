@@ -1,5 +1,5 @@
 //! The learned encoder as a burn module: the same sums on any of burn's devices, with burn's gradients. The tests
-//! hold [`super::network`] against it, and `--backend` trains with it.
+//! hold [`super::network`] against it, and `model train --device` trains with it.
 
 use burn::module::{Module, Param};
 use burn::nn::PaddingConfig2d;

@@ -6,6 +6,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
+use crate::encoder::votes::{Votes, VotesGradient};
 use crate::numeric::tensors::TensorError;
 use crate::world_model::learned::{AugmentConfig, LearnedConfig};
 use crate::world_model::recording::{EpisodeIndex, Recording};
@@ -62,6 +63,35 @@ pub struct DrawnPictures {
     pub responses: Vec<[f32; 2]>,
     /// Measured gain at each picture, dB.
     pub gains_db: Vec<Option<f32>>,
+}
+
+impl DrawnPictures {
+    /// Picture `k` as the online encoder sees it, values 0 to 255.
+    pub fn seen(&self, k: usize, pixels: &mut [f32]) {
+        self.flips[k].pixels(&self.frames[k], pixels);
+        if let Some(view) = &self.views[k] {
+            view.apply(pixels);
+        }
+    }
+
+    /// Indices of the third pictures.
+    #[must_use]
+    pub fn third(&self) -> std::ops::Range<usize> {
+        2 * self.triples.len()..3 * self.triples.len()
+    }
+
+    /// Votes of the mirrored picture `k` in the recording's coordinates.
+    #[must_use]
+    pub fn undo(&self, k: usize, votes: Votes) -> Votes {
+        Votes { p: votes.p.map(|p| self.flips[k].undo(p)), ..votes }
+    }
+
+    /// Gradients by places in the recording as those by places in the mirrored pictures.
+    #[must_use]
+    pub fn redo(&self, by: &[VotesGradient]) -> Vec<VotesGradient> {
+        let each = by.iter().zip(&self.flips);
+        each.map(|(by, flip)| VotesGradient { p: by.p.map(|d| flip.redo(d)), ..*by }).collect()
+    }
 }
 
 impl Flip {

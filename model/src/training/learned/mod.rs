@@ -8,7 +8,10 @@
 pub mod ablation;
 pub mod adapt;
 pub mod batch;
+#[cfg(feature = "train")]
+pub mod device;
 pub mod loss;
+pub mod passes;
 pub mod readings;
 #[cfg(feature = "train")]
 pub mod recipe;
@@ -18,26 +21,19 @@ use std::path::Path;
 
 use crpl_sitl::world::noise::{Noise, Stream};
 use indicatif::ProgressBar;
-use rayon::prelude::*;
 
-use crate::encoder::votes::network::Scratch;
-use crate::encoder::votes::{
-    Activations, BODIES, VoteEncoder, VoteGradient, VoteWeights, Votes, VotesGradient,
-};
+use crate::encoder::votes::VoteWeights;
 use crate::numeric::adam::{Adam, Betas};
 use crate::numeric::mlp::Mlp;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
-use crate::training::learned::batch::{DrawnPictures, PIXELS, normal};
+use crate::training::learned::batch::normal;
 use crate::training::learned::loss::{GAIN_NET, GainNet, Readings, RunningMeans, TrainPhase};
+use crate::training::learned::passes::{CpuPasses, Passes};
 pub use crate::world_model::learned::LearnedConfig;
 use crate::world_model::recording::Recording;
 
 /// File of the state from which `--resume` continues.
 pub const LEARNED_PROGRESS: &str = "learned.safetensors";
-
-/// Pictures whose gradients are summed one after the other; chunks run side by side and are added in their order,
-/// so the number of threads changes no bit.
-const CHUNK: usize = 12;
 
 /// Steps between two reports.
 const REPORT_EVERY: usize = 50;
@@ -77,19 +73,6 @@ struct LearnedState {
     means: RunningMeans,
 }
 
-/// Forward pass of one picture, kept for the backward pass.
-#[derive(Default)]
-struct Slot {
-    activations: Activations,
-    pixels: Vec<f32>,
-}
-
-/// What a run reuses from step to step.
-struct Workspace {
-    slots: Vec<Slot>,
-    chunks: Vec<(VoteGradient, Scratch)>,
-}
-
 /// Trains an encoder on a recording, from random weights or from `start`, and returns the EMA target. `dir` keeps
 /// the progress.
 ///
@@ -103,22 +86,34 @@ pub fn train(
     dir: Option<&Path>,
     bar: &ProgressBar,
 ) -> Result<VoteWeights, LearnedError> {
-    train_watched(recording, config, start, noise, dir, bar, &mut |_, _| {})
+    let passes = &mut CpuPasses::new(config);
+    train_on(recording, config, start, noise, EncoderRun { passes, dir, bar, watch: &mut |_, _| {} })
 }
 
-/// The same; `watch` is shown the target after every step.
+/// What a run is done with; none of it but the passes' rounding changes the result.
+pub struct EncoderRun<'a> {
+    /// What runs the encoder.
+    pub passes: &'a mut dyn Passes,
+    /// Keeps the progress.
+    pub dir: Option<&'a Path>,
+    /// Shows the progress.
+    pub bar: &'a ProgressBar,
+    /// Is shown the number of each finished step and the target after it.
+    pub watch: &'a mut dyn FnMut(usize, &VoteWeights),
+}
+
+/// The same, with `run`'s passes.
 ///
 /// # Errors
 /// As [`train`].
-pub fn train_watched(
+pub fn train_on(
     recording: &Recording,
     config: &LearnedConfig,
     start: Option<&VoteWeights>,
     noise: &Noise,
-    dir: Option<&Path>,
-    bar: &ProgressBar,
-    watch: &mut dyn FnMut(usize, &VoteWeights),
+    run: EncoderRun<'_>,
 ) -> Result<VoteWeights, LearnedError> {
+    let EncoderRun { passes, dir, bar, watch } = run;
     let found = recording.episodes().len();
     let Some(count) = found.checked_sub(config.held_out).filter(|n| *n > 0) else {
         return Err(LearnedError::Episodes { found, held_out: config.held_out });
@@ -126,24 +121,21 @@ pub fn train_watched(
     let episodes = &recording.episodes()[..count];
     let progress = dir.map(|dir| dir.join(LEARNED_PROGRESS));
     let mut state = LearnedState::load_or_begin(progress.as_deref(), start, config, noise)?;
-    let mut space = Workspace::new(config);
     bar.set_position(state.step as u64);
     while state.step < config.steps {
         let mut rng = noise.generator(Stream::Batches, (2 << 20) + state.step as u64);
         let drawn = batch::draw(recording, episodes, config, &mut rng)?;
 
         // Online encoder on its view, kept for the gradient; target encoder on the recording's third pictures.
-        let online = VoteEncoder::new(state.online.clone());
-        let target = VoteEncoder::new(state.target.clone());
-        let seen = space.look(&online, &drawn);
-        let aim = space.aim(&target, &drawn);
+        let seen = passes.look(&state.online, &drawn);
+        let aim = passes.aim(&state.target, &drawn);
 
         // The loss, its gradient by the readings and from there by the weights.
         let readings = Readings { online: &seen, target: &aim, drawn: &drawn };
         let mut gain = GainNet { net: &state.gain, gradient: Mlp::zeros(&GAIN_NET) };
         let phase = TrainPhase { step: state.step, steps: config.steps };
         let loss = loss::evaluate(&readings, &mut gain, config, phase, &mut state.means);
-        let gradient = space.backward(&online, &drawn, &loss.gradients);
+        let gradient = passes.backward(&drawn, &loss.gradients);
         let gain_gradient = gain.gradient;
         if !loss.value.is_finite() || !state.descend(&gradient, &gain_gradient, config) {
             return Err(LearnedError::Diverged(state.step));
@@ -180,61 +172,6 @@ impl RunningMeans {
             self.spread[0],
             self.spread[1],
         )
-    }
-}
-
-impl Workspace {
-    fn new(config: &LearnedConfig) -> Self {
-        let pictures = 6 * config.triples;
-        Self {
-            slots: (0..pictures).map(|_| Slot { pixels: vec![0.0; PIXELS], ..Slot::default() }).collect(),
-            chunks: (0..pictures.div_ceil(CHUNK)).map(|_| Default::default()).collect(),
-        }
-    }
-
-    /// The online encoder's readings of all pictures, in the recording's coordinates.
-    fn look(&mut self, online: &VoteEncoder, drawn: &DrawnPictures) -> Vec<Votes> {
-        let each = self.slots.par_iter_mut().enumerate().map(|(k, Slot { activations, pixels })| {
-            drawn.flips[k].pixels(&drawn.frames[k], pixels);
-            if let Some(view) = &drawn.views[k] {
-                view.apply(pixels);
-            }
-            activations.set_pixels(pixels.iter().copied());
-            let mut votes = online.forward(activations);
-            votes.p = votes.p.map(|p| drawn.flips[k].undo(p));
-            votes
-        });
-        each.collect()
-    }
-
-    /// The target's places in the third pictures, in the recording's coordinates.
-    fn aim(&self, target: &VoteEncoder, drawn: &DrawnPictures) -> Vec<[[f32; 2]; BODIES]> {
-        let n = drawn.triples.len();
-        let each = (2 * n..3 * n).into_par_iter().map_init(
-            || (Activations::default(), vec![0.0; PIXELS]),
-            |(activations, pixels), k| {
-                drawn.flips[k].pixels(&drawn.frames[k], pixels);
-                activations.set_pixels(pixels.iter().copied());
-                target.forward(activations).p.map(|p| drawn.flips[k].undo(p))
-            },
-        );
-        each.collect()
-    }
-
-    /// The gradient by the weights, of all pictures.
-    fn backward(&mut self, online: &VoteEncoder, drawn: &DrawnPictures, by: &[VotesGradient]) -> VoteWeights {
-        let pictures =
-            self.slots.par_chunks_mut(CHUNK).zip(by.par_chunks(CHUNK)).zip(drawn.flips.par_chunks(CHUNK));
-        pictures.zip(&mut self.chunks).for_each(|(((slots, by), flips), (gradient, scratch))| {
-            gradient.clear();
-            for ((slot, by), flip) in slots.iter_mut().zip(by).zip(flips) {
-                let by = VotesGradient { p: by.p.map(|d| flip.redo(d)), spread: by.spread };
-                online.backward(&slot.activations, &by, scratch, gradient);
-            }
-        });
-        let mut sum = VoteGradient::default();
-        self.chunks.iter().for_each(|(gradient, _)| sum.add(gradient));
-        sum.unpacked()
     }
 }
 

@@ -24,7 +24,7 @@ use crate::predictor::Predictor;
 use crate::training::cache::{self, StageCache};
 use crate::training::heads::{self as head_training, Samples};
 use crate::training::learned::readings::{self, HeadSample};
-use crate::training::learned::{self, load_encoder, save_encoder};
+use crate::training::learned::{self, EncoderRun, load_encoder, save_encoder};
 use crate::training::predictors;
 use crate::training::recipe::{REJECTED, Run, TrainError, in_words, networks};
 use crate::world_model::card::{Card, FitCheck, LearnedCheck};
@@ -54,7 +54,8 @@ pub fn train(
     run: &Run,
 ) -> Result<(WorldModel, Diagnostics), TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
-    let identity = serde_json::json!({ "config": config, "data": run.data });
+    let identity = serde_json::json!({ "config": config, "data": run.data, "device": run.device });
+    let mut passes = run.device.passes(&part.encoder)?;
     let cache = StageCache::open(run.out.join("stages"), &format!("{identity:#}\n"), run.resume)?;
 
     // Pictures, actions, measured gain, contacts; no position.
@@ -73,7 +74,8 @@ pub fn train(
         |dir| load_encoder(&dir.join(ENCODER)),
         || {
             let bar = progress::bar("encoder", part.encoder.steps as u64);
-            let weights = learned::train(&recording, &part.encoder, None, &noise, cache.dir(), &bar)?;
+            let how = EncoderRun { passes: &mut *passes, dir: cache.dir(), bar: &bar, watch: &mut |_, _| {} };
+            let weights = learned::train_on(&recording, &part.encoder, None, &noise, how)?;
             bar.finish();
             Ok(weights)
         },
@@ -168,7 +170,7 @@ fn finish(
         probe,
         card: Card {
             format: FORMAT.into(),
-            backend: run.backend.name().into(),
+            backend: run.backends(),
             config: config.clone(),
             ..Card::default()
         },
