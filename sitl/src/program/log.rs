@@ -22,24 +22,27 @@ pub enum LogFormat {
     Json,
 }
 
+/// What `-v` shows: the details of our own crates, of libraries no more than without it.
+const DETAILS: &str = "info,crpl_sitl=debug,crpl_model=debug,crpl_gcs=debug,sitl=debug,model=debug,gcs=debug";
+
 /// How much is logged, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LogChoice {
     /// Errors alone.
     pub quiet: bool,
-    /// Details: 1 debug, 2 everything.
+    /// Details: 1 of our own programs, 2 everything.
     pub verbose: u8,
     /// For whom.
     pub format: LogFormat,
 }
 
 impl LogChoice {
-    /// The least level, as `RUST_LOG` has it; `None` if nothing was asked for.
-    fn level(self) -> Option<&'static str> {
+    /// The filter, as `RUST_LOG` has it; `None` if nothing was asked for.
+    fn filter(self) -> Option<&'static str> {
         match (self.quiet, self.verbose) {
             (true, _) => Some("error"),
             (false, 0) => None,
-            (false, 1) => Some("debug"),
+            (false, 1) => Some(DETAILS),
             (false, _) => Some("trace"),
         }
     }
@@ -48,8 +51,8 @@ impl LogChoice {
     /// only.
     pub fn begin(self) {
         progress::set_quiet(self.quiet);
-        let filter = match self.level() {
-            Some(level) => level.into(),
+        let filter = match self.filter() {
+            Some(filter) => filter.into(),
             None => EnvFilter::try_from_default_env().unwrap_or_else(|_| "info".into()),
         };
         let log = tracing_subscriber::fmt()
