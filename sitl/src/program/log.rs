@@ -97,11 +97,11 @@ mod tests {
 
     #[test]
     fn flags_win_over_the_environment() {
-        let choice = |quiet, verbose| LogChoice { quiet, verbose, ..LogChoice::default() }.level();
+        let choice = |quiet, verbose| LogChoice { quiet, verbose, ..LogChoice::default() }.filter();
         assert_eq!(choice(false, 0), None);
         assert_eq!(
             [choice(true, 0), choice(false, 1), choice(false, 5)],
-            [Some("error"), Some("debug"), Some("trace")]
+            [Some("error"), Some(DETAILS), Some("trace")]
         );
     }
 }
