@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 use crate::encoder::BuiltIn;
 use crate::encoder::module::Backend;
 use crate::evaluation::robustness;
-use crate::training::ablation::{ABLATIONS, HEAD};
-use crate::training::learned::ablation::{self as learned_ablation, LEARNED_ABLATIONS};
-use crate::training::recipe::without_heads;
+use crate::training::ablation::{ABLATIONS, AblationRow, HEAD};
+use crate::training::learned::ablation::{self as learned_ablation, LEARNED_ABLATIONS, LearnedAblationRow};
+use crate::training::recipe::{TrainError, without_heads};
 use crate::world_model::WorldModel;
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use anyhow::Context;
 use crpl_sitl::Scenario;
 use crpl_sitl::world::noise::Noise;
+use serde::Serialize;
 
 /// Flags of `model ablate`.
 #[derive(Debug, clap::Args)]
@@ -81,16 +82,27 @@ pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
         let only = args.only.as_deref().unwrap_or_default();
         anyhow::bail!("--only {only}: no row's name contains it");
     }
+    let rows = changes.into_iter().map(|change| change.run(&config, args.backend, args.frames));
+    print_rows(args.json, HEAD, rows, AblationRow::line)
+}
+
+/// Prints each row as soon as it is there.
+fn print_rows<R: Serialize>(
+    json: bool,
+    head: &str,
+    rows: impl Iterator<Item = Result<R, TrainError>>,
+    line: impl Fn(&R) -> String,
+) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    if !args.json {
-        write!(out, "{HEAD}")?;
+    if !json {
+        write!(out, "{head}")?;
     }
-    for change in changes {
-        let row = change.run(&config, args.backend, args.frames)?;
-        if args.json {
+    for row in rows {
+        let row = row?;
+        if json {
             writeln!(out, "{}", serde_json::to_string(&row)?)?;
         } else {
-            write!(out, "{}", row.line())?;
+            write!(out, "{}", line(&row))?;
         }
         out.flush()?;
     }
@@ -124,20 +136,8 @@ fn ablate_learned(
         }
     }
     let recording = learned_ablation::recording(config, part, args.data.as_deref(), &args.out)?;
-    let mut out = std::io::stdout().lock();
-    if !args.json {
-        write!(out, "{}", learned_ablation::head())?;
-    }
-    for change in changes {
-        let row = change.run(config, part, &recording, &args.out, args.frames)?;
-        if args.json {
-            writeln!(out, "{}", serde_json::to_string(&row)?)?;
-        } else {
-            write!(out, "{}", row.line())?;
-        }
-        out.flush()?;
-    }
-    Ok(())
+    let rows = changes.into_iter().map(|change| change.run(config, part, &recording, &args.out, args.frames));
+    print_rows(args.json, &learned_ablation::head(), rows, LearnedAblationRow::line)
 }
 
 /// Runs `model robustness`.
