@@ -8,12 +8,15 @@ use clap::{Parser, Subcommand};
 use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
 use crpl_model::training::recipe::{self, Run};
+use crpl_model::training::show::StageShow;
 use crpl_model::training::{ablation_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::{Recording, RecordingFormat};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::page::WatchFlags;
+use crpl_sitl::program::page::feed::WatchEvent;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::program::{progress, terminal};
 
@@ -82,6 +85,8 @@ struct Train {
     /// Use less data: seconds instead of minutes, with lower accuracy
     #[arg(long)]
     quick: bool,
+    #[command(flatten)]
+    watch: WatchFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -182,14 +187,30 @@ fn run(args: &Train) -> anyhow::Result<()> {
         config = config.quick();
         tracing::warn!("--quick: less data and fewer steps; these are not the figures of the full recipe");
     }
+    let page = args.watch.open()?;
+    if let Some(page) = &page {
+        let title = config.learned.as_ref().map_or("centroid", |_| "learned encoder");
+        page.feed().send(&WatchEvent::computation("model train", crpl_model::revision(), title, None));
+    }
     let run = Run {
         backend: args.backend,
         out: args.out.clone(),
         data: args.data.clone(),
         resume: args.resume,
         stopwatch: Stopwatch::default(),
+        feed: page.as_ref().map(|page| page.feed().clone()),
     };
-    let (model, diagnostics) = recipe::train(&config, &run)?;
+    let trained = recipe::train(&config, &run);
+    if let Some(page) = page {
+        let reason = trained.as_ref().err().map_or_else(|| "over".into(), ToString::to_string);
+        let metrics =
+            trained.as_ref().ok().and_then(|(model, _)| serde_json::to_value(&model.card.metrics).ok());
+        terminal::block_on(async {
+            page.close(&reason, metrics.unwrap_or_default()).await;
+            Ok(())
+        })?;
+    }
+    let (model, diagnostics) = trained?;
     let (wall_s, cpu_s) = run.stopwatch.seconds();
     if args.json {
         let out = serde_json::json!({
@@ -218,9 +239,9 @@ fn adapt(args: &Adapt) -> anyhow::Result<()> {
     let stopwatch = Stopwatch::default();
     let model = WorldModel::named(&args.checkpoint)?;
     let recording = Recording::open(&args.recording, None)?;
-    let bar = progress::bar("adapt", args.steps as u64);
-    let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &bar)?;
-    bar.finish();
+    let shown = StageShow::begin("adapt", args.steps, None);
+    let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &shown)?;
+    shown.finish();
     let learned::adapt::Adapted { model, explained } = adapted;
     model.save(&args.out)?;
     println!(
@@ -251,7 +272,7 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
     let stopwatch = Stopwatch::default();
-    let trained = recipe::networks(&config, &model)?;
+    let trained = recipe::networks(&config, &model, None)?;
     predictors::publish(&trained, &args.out)?;
     for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
         let name = network.kind().name();

@@ -40,7 +40,10 @@ fn small() -> TrainConfig {
 }
 
 fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainError> {
-    go(&small(), &Run { backend, out: out.into(), data: None, resume, stopwatch: Stopwatch::default() })
+    go(
+        &small(),
+        &Run { backend, out: out.into(), data: None, resume, stopwatch: Stopwatch::default(), feed: None },
+    )
 }
 
 fn go(config: &TrainConfig, run: &Run) -> Result<WorldModel, TrainError> {
@@ -108,6 +111,7 @@ fn another_configuration_does_not_go_on_with_the_run() {
         data: None,
         resume: true,
         stopwatch: Stopwatch::default(),
+        feed: None,
     };
     let error = train(&other, &run).unwrap_err().to_string();
     assert!(error.contains("another configuration"), "{error}");
@@ -172,6 +176,7 @@ fn a_gradient_stage_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
         data: None,
         resume,
         stopwatch: Stopwatch::default(),
+        feed: None,
     };
     let mut learned = with_gradient();
     if let Some(gradient) = &mut learned.stages.gradient {

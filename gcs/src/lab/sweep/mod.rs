@@ -107,7 +107,8 @@ pub fn run(args: &Sweep) -> Result<()> {
     let page = args.watch.open()?;
     if let Some(page) = &page {
         let scenario = serde_json::to_value(&folder.plan.scenario).ok();
-        page.feed().send(&WatchEvent::computation("gcs sweep", &folder.plan.name, scenario));
+        let hello = WatchEvent::computation("gcs sweep", crate::revision(), &folder.plan.name, scenario);
+        page.feed().send(&hello);
     }
     let episodes = complete_shown(&folder, &models, page.as_ref().map(WatchPage::feed))?;
     show(&folder, &episodes, args.json)?;

@@ -17,7 +17,6 @@ pub mod teacher;
 use std::path::Path;
 
 use crpl_sitl::world::noise::{Noise, Stream};
-use indicatif::ProgressBar;
 use rayon::prelude::*;
 
 use crate::encoder::votes::network::Scratch;
@@ -29,6 +28,7 @@ use crate::numeric::mlp::Mlp;
 use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_all};
 use crate::training::learned::batch::{DrawnPictures, PIXELS, normal};
 use crate::training::learned::loss::{GAIN_NET, GainNet, Readings, RunningMeans, TrainPhase};
+use crate::training::show::StageShow;
 pub use crate::world_model::learned::LearnedConfig;
 use crate::world_model::recording::Recording;
 
@@ -101,9 +101,9 @@ pub fn train(
     start: Option<&VoteWeights>,
     noise: &Noise,
     dir: Option<&Path>,
-    bar: &ProgressBar,
+    shown: &StageShow,
 ) -> Result<VoteWeights, LearnedError> {
-    train_watched(recording, config, start, noise, dir, bar, &mut |_, _| {})
+    train_watched(recording, config, start, noise, dir, shown, &mut |_, _| {})
 }
 
 /// The same; `watch` is shown the target after every step.
@@ -116,7 +116,7 @@ pub fn train_watched(
     start: Option<&VoteWeights>,
     noise: &Noise,
     dir: Option<&Path>,
-    bar: &ProgressBar,
+    shown: &StageShow,
     watch: &mut dyn FnMut(usize, &VoteWeights),
 ) -> Result<VoteWeights, LearnedError> {
     let found = recording.episodes().len();
@@ -127,7 +127,7 @@ pub fn train_watched(
     let progress = dir.map(|dir| dir.join(LEARNED_PROGRESS));
     let mut state = LearnedState::load_or_begin(progress.as_deref(), start, config, noise)?;
     let mut space = Workspace::new(config);
-    bar.set_position(state.step as u64);
+    shown.at(state.step);
     while state.step < config.steps {
         let mut rng = noise.generator(Stream::Batches, (2 << 20) + state.step as u64);
         let drawn = batch::draw(recording, episodes, config, &mut rng)?;
@@ -151,7 +151,7 @@ pub fn train_watched(
         state.follow(config);
 
         state.step += 1;
-        bar.set_position(state.step as u64);
+        shown.at(state.step);
         watch(state.step, &state.target);
         if let Some(progress) = &progress
             && state.step.is_multiple_of(config.save_every)
@@ -159,14 +159,29 @@ pub fn train_watched(
             state.save(progress)?;
         }
         if state.step.is_multiple_of(REPORT_EVERY) || state.step == config.steps {
-            bar.set_message(state.means.message(loss.value));
-            tracing::debug!(step = state.step, "{}", bar.message());
+            let means = &state.means;
+            shown.report(state.step, means.message(loss.value), &means.curves(loss.value));
         }
     }
     Ok(state.target)
 }
 
 impl RunningMeans {
+    /// The curves of a training by name.
+    fn curves(&self, loss: f32) -> [(&'static str, f64); 8] {
+        [
+            ("loss", loss),
+            ("loss of z_c, px", self.loss_c),
+            ("correlation of z_c with the actions", self.correlation),
+            ("error of z_u, px", self.error_u),
+            ("z_u against the teacher, px", self.teacher),
+            ("error of the gain, dB", self.gain),
+            ("spread of the votes for c, px", self.spread[0]),
+            ("spread of the votes for u, px", self.spread[1]),
+        ]
+        .map(|(name, value)| (name, f64::from(value)))
+    }
+
     fn message(&self, loss: f32) -> String {
         format!(
             "loss {loss:.2}  c {:.2} px R {:.3}  u {:.2} px moves {:.1}  teacher {:.2} ({:.0} %)  gain {:.2} dB  votes {:.1} {:.1} px",

@@ -220,14 +220,14 @@ pub struct ShownBelief {
 }
 
 impl WatchEvent {
-    /// The first line of a long computation.
+    /// The first line of a long computation; `revision` is that of the program.
     #[must_use]
-    pub fn computation(program: &str, title: &str, scenario: Option<Value>) -> Self {
+    pub fn computation(program: &str, revision: &str, title: &str, scenario: Option<Value>) -> Self {
         Self::Hello {
             version: VERSION,
             title: format!("{program}: {title}"),
             program: program.into(),
-            revision: crate::revision().into(),
+            revision: revision.into(),
             seed: None,
             frame: ShownFrame::Square,
             scenario,
