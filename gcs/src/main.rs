@@ -22,6 +22,7 @@ use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::{Controller, ControllerParser};
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, encode, export, key, link, mission, param, replay, tlog};
+use crpl_gcs::watch::map::MapFlags;
 use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
@@ -216,6 +217,8 @@ struct Fly {
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: SteerFlags,
+    #[command(flatten)]
+    map: MapFlags,
     /// Print JSON
     #[arg(help_heading = "Output", long)]
     json: bool,
@@ -335,8 +338,9 @@ async fn fly(args: Fly) -> Result<()> {
     let station = models.station(args.controller, &scenario)?;
     let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
     let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;
+    let buildings = args.map.load()?;
     let (page, requests) = args.watch.open()?;
-    let shown = Shown { control: requests.is_some(), ..Shown::one("gcs fly", args.controller) };
+    let shown = Shown { control: requests.is_some(), buildings, ..Shown::one("gcs fly", args.controller) };
     options.steering = requests;
     let live = page.as_ref().map(|page| page.feed().clone());
     let mut crew = LoggedStation::new(station, folder, args.controller, None).shown_as(shown, live);

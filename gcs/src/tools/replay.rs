@@ -38,6 +38,7 @@ use crate::tools::bridge::hub::Hub;
 use crate::tools::spotter::Spotter;
 use crate::tools::tlog;
 use crate::watch::feed::{Feed, WatchEvent};
+use crate::watch::map::MapFlags;
 use crate::watch::{WatchFlags, document};
 
 /// A pause that is longer is announced.
@@ -58,6 +59,8 @@ pub struct Replay {
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: WatchFlags,
+    #[command(flatten)]
+    map: MapFlags,
     /// Speed relative to the recorded flight
     #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
@@ -88,8 +91,9 @@ pub async fn run(args: Replay) -> Result<()> {
     for endpoint in &args.forward {
         crpl_sitl::outln!("forward: {}", hub.open(endpoint).await?);
     }
+    let buildings = args.map.load()?;
     let page = args.watch.open()?;
-    let mut shown = page.as_ref().map(|page| ReplayShow::of(&file, page.feed()));
+    let mut shown = page.as_ref().map(|page| ReplayShow::of(&file, page.feed(), buildings));
     // A port of ours has no listener before one has spoken to it.
     if !args.forward.is_empty() && !args.forward.iter().any(Endpoint::speaks_at_once) {
         crpl_sitl::outln!("waiting for a connection");
@@ -144,12 +148,12 @@ enum ReplayShow {
 }
 
 impl ReplayShow {
-    fn of(log: &Path, feed: &Feed) -> Self {
+    fn of(log: &Path, feed: &Feed, buildings: Option<Value>) -> Self {
         let feed = feed.clone();
         let html = std::fs::read_to_string(log.with_file_name("flight.html")).ok();
         match html.as_deref().and_then(document::lines_of) {
             Some(lines) => Self::Lines { feed, lines: timed(lines) },
-            None => Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false), feed },
+            None => Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false, buildings), feed },
         }
     }
 

@@ -9,13 +9,21 @@
 //! The page, its feed and its server are those of all programs ([`crpl_sitl::program::page`]). docs/watch.md lists
 //! the lines.
 
-mod narrator;
+pub mod map;
+pub mod narrator;
 pub mod watcher;
 
 pub use crpl_sitl::program::page::{SteerFlags, WatchFlags, WatchPage, control, document, feed};
 
+use crpl_sitl::camera::Frame;
+use crpl_sitl::link::image::png_from_frame;
+use crpl_sitl::units::Tick;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::Value;
+
 use crate::station::pilot::Controller;
-use crate::watch::feed::ShownVehicle;
+use crate::watch::feed::{ShownVehicle, WatchEvent};
 
 /// What a feed's first line says.
 #[derive(Debug, Clone, Default)]
@@ -28,6 +36,8 @@ pub struct Shown {
     pub control: bool,
     /// Those who have flown, and who flies.
     pub vehicles: Vec<ShownVehicle>,
+    /// Buildings of the map, as GeoJSON.
+    pub buildings: Option<Value>,
 }
 
 impl Shown {
@@ -45,4 +55,11 @@ impl Shown {
         let name = controller.to_string();
         self.vehicles.push(ShownVehicle { id, controller: Some(name.clone()), name });
     }
+}
+
+/// A frame as it was received; `None` if it has no PNG.
+#[must_use]
+pub fn picture(vehicle: u32, tick: u64, frame: &Frame) -> Option<WatchEvent> {
+    let png = png_from_frame(frame, Tick(tick)).ok()?;
+    Some(WatchEvent::Picture { vehicle, tick, png: STANDARD.encode(png) })
 }
