@@ -46,6 +46,17 @@ enum Command {
     Evaluate(evaluation::command::Evaluate),
 }
 
+/// Examples below the help of each command.
+const EXAMPLES: &[(&str, &[&str])] = &[
+    ("collect", &["model collect --config configs/learned.toml --out runs/data"]),
+    ("train", &["model train --quick", "model train --config configs/learned.toml --data runs/data --watch"]),
+    ("predictors", &["model predictors --out runs/networks"]),
+    ("adapt", &["model adapt --recording runs/recording --out runs/adapted"]),
+    ("ablate", &["model ablate --only mix", "model ablate --config configs/learned.toml --data runs/data"]),
+    ("robustness", &["model robustness learned centroid", "model robustness runs/model --json"]),
+    ("evaluate", &["model evaluate", "model evaluate --checkpoint runs/model --camera hard"]),
+];
+
 #[derive(Debug, clap::Args)]
 struct Collect {
     /// Training parameters that differ from the defaults (TOML)
@@ -128,7 +139,7 @@ struct Adapt {
 }
 
 fn main() -> ExitCode {
-    terminal::main(crpl_model::revision(), |args: Args| match args.command {
+    terminal::main(crpl_model::revision(), EXAMPLES, |args: Args| match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
@@ -289,4 +300,15 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     }
     crpl_sitl::outln!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+    use crpl_sitl::program::common;
+
+    #[test]
+    fn every_command_has_examples_that_parse() {
+        assert_eq!(common::wrong_examples(super::Args::command(), super::EXAMPLES), Vec::<String>::new());
+    }
 }

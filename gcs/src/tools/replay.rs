@@ -153,7 +153,9 @@ impl ReplayShow {
         let html = std::fs::read_to_string(log.with_file_name("flight.html")).ok();
         match html.as_deref().and_then(document::lines_of) {
             Some(lines) => Self::Lines { feed, lines: timed(lines) },
-            None => Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false, buildings), feed },
+            None => {
+                Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false, buildings), feed }
+            }
         }
     }
 

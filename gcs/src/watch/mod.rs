@@ -15,11 +15,11 @@ pub mod watcher;
 
 pub use crpl_sitl::program::page::{SteerFlags, WatchFlags, WatchPage, control, document, feed};
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use crpl_sitl::camera::Frame;
 use crpl_sitl::link::image::png_from_frame;
 use crpl_sitl::units::Tick;
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use serde_json::Value;
 
 use crate::station::pilot::Controller;

@@ -12,8 +12,8 @@ use serde_json::Value;
 
 use crate::station::Station;
 use crate::watch::feed::{Feed, ShownFrame, ShownLimits, ShownVehicle, VERSION, WatchEvent, rounded};
-use crate::watch::narrator::{Narrator, SeenScene, StationSight};
 use crate::watch::map::FieldPlace;
+use crate::watch::narrator::{Narrator, SeenScene, StationSight};
 use crate::watch::{Shown, document};
 
 /// Scenes that wait to be told; of what comes beyond, pictures and beliefs are left out.

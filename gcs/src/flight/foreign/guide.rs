@@ -317,7 +317,8 @@ impl Guide {
                 self.place = Some(place);
             }
         } else if let Some(told) = GlobalPositionInt::of(packet).filter(|_| packet.component == AUTOPILOT) {
-            self.site = self.place.and_then(|place| site(&told, self.foreign.field.to_ned(horizontal(&place))));
+            self.site =
+                self.place.and_then(|place| site(&told, self.foreign.field.to_ned(horizontal(&place))));
         } else if let Some((severity, text)) = self.texts.packet(packet) {
             if severity <= MavSeverity::MAV_SEVERITY_WARNING as u8 {
                 self.complaint.clone_from(&text);

@@ -46,8 +46,7 @@ impl RecordingShow {
         let records = before.filter(|(before, _)| follows(before)).map(|(before, command)| {
             Record::new(&before.telemetry, &command, &percept.telemetry, &self.scenario)
         });
-        let scene =
-            || SeenScene { frame: percept.frame.clone(), belief: None, foresight: None };
+        let scene = || SeenScene { frame: percept.frame.clone(), belief: None, foresight: None };
         self.narrator.tell(StationSight {
             telemetry: percept.telemetry,
             command: Some(command),

@@ -29,8 +29,8 @@ use anyhow::{Context, Result};
 use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
-use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{self, Signal, StopSignal};
+use crpl_sitl::program::{columns, progress};
 use rayon::prelude::*;
 
 use crate::lab::{Contender, policies};
@@ -267,7 +267,7 @@ pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()
             crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         }
     } else {
-        crpl_sitl::out!("{}", table::text(&folder.plan, &rows));
+        crpl_sitl::out!("{}", table::text(&folder.plan, &rows, columns::width()));
         crpl_sitl::outln!(
             "\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
             folder.dir().display()

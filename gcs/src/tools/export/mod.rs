@@ -23,9 +23,6 @@ use track::FlightTrack;
 
 /// Flags of `gcs export`.
 #[derive(Debug, Clone, clap::Args)]
-#[command(
-    after_help = "Examples:\n  gcs export runs/demo/crpl --to mcap\n  gcs export flight.tlog --to gpx --out flight.gpx"
-)]
 pub struct ExportArgs {
     /// Run folder, or a tlog of any vehicle, or a record.jsonl
     #[arg(value_name = "RUN")]
