@@ -51,7 +51,7 @@ pub enum ExportFormat {
     Geojson,
     /// Positions and records for Foxglove and Rerun
     Mcap,
-    /// Refused: Rerun opens the mcap file
+    /// Refused: Rerun's crate needs some 500 others to build; Rerun opens the mcap file
     Rrd,
 }
 
