@@ -28,7 +28,7 @@
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`station`] | percept in, command out: belief, controllers, trained models | sockets, clocks, bytes |
-//! | [`watch`] | the page that shows a flight, its server, `flight.html` | links, run folders |
+//! | [`watch`] | what a station knows as lines of a page, `flight.html` | links, run folders |
 //! | [`tools`] | MAVLink tools for any vehicle: router, radio link, parameters, missions | controllers |
 //! | [`flight`] | the shell of a flight over a link, on `sitl` or a foreign autopilot | controllers' insides |
 //! | [`lab`] | flights in process, demo, sweeps, reports, run folders | protocols |

@@ -1,5 +1,7 @@
 //! `gcs`: flies a UAV from camera frames.
 
+mod examples;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -22,6 +24,7 @@ use crpl_gcs::station::models::ModelFiles;
 use crpl_gcs::station::pilot::{Controller, ControllerParser};
 use crpl_gcs::tools::identity::Identity;
 use crpl_gcs::tools::{bridge, encode, export, key, link, mission, param, replay, tlog};
+use crpl_gcs::watch::map::MapFlags;
 use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
@@ -93,17 +96,8 @@ enum GcsCommand {
     Sitl(crpl_sitl::program::cli::Args),
 }
 
-/// Presets, then examples.
-fn ending(examples: &[&str]) -> String {
-    let examples: String = examples.iter().map(|example| format!("\n  {example}")).collect();
-    format!("{}\n\nExamples:{examples}", presets::table().trim_end())
-}
-
 #[derive(Debug, clap::Args)]
-#[command(after_help = ending(&[
-    "gcs demo --controller crpl,rcc,ucc",
-    "gcs demo --scenario elsewhere --optimise --seed 7",
-]))]
+#[command(after_help = presets::table())]
 struct Demo {
     /// Scenario: TOML file or preset
     #[arg(long, value_name = "FILE|NAME", default_value = "demo")]
@@ -126,29 +120,26 @@ struct Demo {
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`.
     /// The vehicle refuses unsigned messages and stores its own key in FILE.1
-    #[arg(help_heading = "Network", long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
     /// Folder for the run folders, one per controller [default: runs/demo, or runs/demo-2 ... where that is taken]
-    #[arg(help_heading = "Output", long, value_name = "DIR", value_parser = folder)]
+    #[arg(long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
     /// Replace the flights that are in these folders
-    #[arg(help_heading = "Output", long)]
+    #[arg(long)]
     overwrite: bool,
     /// Forward the flights to this endpoint, such as udpout:HOST:PORT; repeatable
-    #[arg(help_heading = "Network", long, value_name = "ENDPOINT", num_args = 1..)]
+    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: WatchFlags,
     /// Print JSON
-    #[arg(help_heading = "Output", long)]
+    #[arg(long)]
     json: bool,
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = ending(&[
-    "gcs fly --connect udpout:127.0.0.1:14550 --controller rcc",
-    "gcs fly --connect udpin:0.0.0.0:14550 --vehicle ardupilot --dry-run",
-]))]
+#[command(after_help = presets::table())]
 struct Fly {
     /// Scenario: TOML file or preset, which must be the vehicle's [default: the vehicle's own, or foreign for a
     /// foreign autopilot]
@@ -166,7 +157,7 @@ struct Fly {
     #[arg(long, value_enum, default_value = "sitl")]
     vehicle: VehicleKind,
     /// System id of the vehicle [default: the only one on the link; of a foreign one, the first that is heard]
-    #[arg(help_heading = "Network", long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     sysid: Option<u8>,
     /// Height of a foreign vehicle's flight above its start, m [default: the scenario's]
     #[arg(help_heading = "Foreign vehicles", long, value_name = "METRES", value_parser = positive)]
@@ -175,10 +166,10 @@ struct Fly {
     #[arg(help_heading = "Foreign vehicles", long, value_name = "METRES", value_parser = positive)]
     field: Option<f64>,
     /// Where the upper edge of a foreign vehicle's field lies, degrees clockwise from north
-    #[arg(long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
     heading: f64,
     /// What a foreign vehicle does when its flight is over
-    #[arg(long, value_enum, default_value = "hold")]
+    #[arg(help_heading = "Foreign vehicles", long, value_enum, default_value = "hold")]
     end: WhenOver,
     /// Say where a foreign vehicle would fly, and end
     #[arg(help_heading = "Foreign vehicles", long)]
@@ -190,10 +181,10 @@ struct Fly {
     #[arg(help_heading = "Foreign vehicles", long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
     /// Sign all messages with the key in this file: TOML with `key` (64 hexadecimal digits) or `passphrase`
-    #[arg(help_heading = "Network", long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     signing_key: Option<PathBuf>,
     /// How long to wait for the vehicle, for its first report, and for any next one
-    #[arg(help_heading = "Network", long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
     timeout: u64,
     /// Who flies
     #[command(flatten)]
@@ -205,19 +196,21 @@ struct Fly {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
     /// Run folder [default: runs/flight, or runs/flight-2 ... where that is taken]
-    #[arg(help_heading = "Output", long, value_name = "DIR", value_parser = folder)]
+    #[arg(long, value_name = "DIR", value_parser = folder)]
     out: Option<PathBuf>,
     /// Replace the flight that is in this folder
-    #[arg(help_heading = "Output", long)]
+    #[arg(long)]
     overwrite: bool,
     /// Forward the flight to this endpoint, such as udpout:HOST:PORT; an operator there can take over by a
     /// change of mode; repeatable
-    #[arg(help_heading = "Network", long, value_name = "ENDPOINT", num_args = 1..)]
+    #[arg(long, value_name = "ENDPOINT", num_args = 1..)]
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: SteerFlags,
+    #[command(flatten)]
+    map: MapFlags,
     /// Print JSON
-    #[arg(help_heading = "Output", long)]
+    #[arg(long)]
     json: bool,
 }
 
@@ -335,8 +328,9 @@ async fn fly(args: Fly) -> Result<()> {
     let station = models.station(args.controller, &scenario)?;
     let manifest = RunManifest::new(args.controller, None, station.policy().cloned());
     let folder = RunFolder::claim(&out, args.overwrite, &scenario, manifest)?;
+    let buildings = args.map.load()?;
     let (page, requests) = args.watch.open()?;
-    let shown = Shown { control: requests.is_some(), ..Shown::one("gcs fly", args.controller) };
+    let shown = Shown { control: requests.is_some(), buildings, ..Shown::one("gcs fly", args.controller) };
     options.steering = requests;
     let live = page.as_ref().map(|page| page.feed().clone());
     let mut crew = LoggedStation::new(station, folder, args.controller, None).shown_as(shown, live);
@@ -398,7 +392,7 @@ fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
 }
 
 fn main() -> ExitCode {
-    terminal::main(crpl_gcs::revision(), |args: GcsArgs| match args.command {
+    terminal::main(crpl_gcs::revision(), examples::EXAMPLES, |args: GcsArgs| match args.command {
         GcsCommand::Demo(args) => terminal::block_on(demo(args)),
         GcsCommand::Fly(args) => terminal::block_on(fly(args)),
         GcsCommand::Record(args) => terminal::block_on(record::run(args)),
@@ -426,4 +420,17 @@ fn main() -> ExitCode {
         GcsCommand::Compare(args) => flown::compare(&args),
         GcsCommand::Report(args) => report::run(&args),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+    use crpl_sitl::program::common;
+
+    use super::*;
+
+    #[test]
+    fn every_command_has_examples_that_parse() {
+        assert_eq!(common::wrong_examples(GcsArgs::command(), examples::EXAMPLES), Vec::<String>::new());
+    }
 }

@@ -9,12 +9,15 @@ use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
 use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{self, Run};
+use crpl_model::training::show::StageShow;
 use crpl_model::training::{ablation_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::{Recording, RecordingFormat};
 use crpl_sitl::Scenario;
+use crpl_sitl::program::page::WatchFlags;
+use crpl_sitl::program::page::feed::WatchEvent;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::program::{progress, terminal};
 
@@ -43,6 +46,17 @@ enum Command {
     /// Evaluate a world model on held-out frames and draw the paper's Fig. 3
     Evaluate(evaluation::command::Evaluate),
 }
+
+/// Examples below the help of each command.
+const EXAMPLES: &[(&str, &[&str])] = &[
+    ("collect", &["model collect --config configs/learned.toml --out runs/data"]),
+    ("train", &["model train --quick", "model train --config configs/learned.toml --data runs/data --watch"]),
+    ("predictors", &["model predictors --out runs/networks"]),
+    ("adapt", &["model adapt --recording runs/recording --out runs/adapted"]),
+    ("ablate", &["model ablate --only mix", "model ablate --config configs/learned.toml --data runs/data"]),
+    ("robustness", &["model robustness learned centroid", "model robustness runs/model --json"]),
+    ("evaluate", &["model evaluate", "model evaluate --checkpoint runs/model --camera hard"]),
+];
 
 #[derive(Debug, clap::Args)]
 struct Collect {
@@ -86,6 +100,8 @@ struct Train {
     /// Use less data: seconds instead of minutes, with lower accuracy
     #[arg(long)]
     quick: bool,
+    #[command(flatten)]
+    watch: WatchFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -127,7 +143,7 @@ struct Adapt {
 }
 
 fn main() -> ExitCode {
-    terminal::main(crpl_model::revision(), |args: Args| match args.command {
+    terminal::main(crpl_model::revision(), EXAMPLES, |args: Args| match args.command {
         Command::Collect(args) => collect(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
@@ -190,6 +206,11 @@ fn run(args: &Train) -> anyhow::Result<()> {
         config.learned.is_some() || args.device == EncoderDevice::Cpu,
         "--device: the configuration has no [learned], whose encoder alone is trained on a device"
     );
+    let page = args.watch.open()?;
+    if let Some(page) = &page {
+        let title = config.learned.as_ref().map_or("centroid", |_| "learned encoder");
+        page.feed().send(&WatchEvent::computation("model train", crpl_model::revision(), title, None));
+    }
     let run = Run {
         backend: args.backend,
         device: args.device,
@@ -197,8 +218,19 @@ fn run(args: &Train) -> anyhow::Result<()> {
         data: args.data.clone(),
         resume: args.resume,
         stopwatch: Stopwatch::default(),
+        feed: page.as_ref().map(|page| page.feed().clone()),
     };
-    let (model, diagnostics) = recipe::train(&config, &run)?;
+    let trained = recipe::train(&config, &run);
+    if let Some(page) = page {
+        let reason = trained.as_ref().err().map_or_else(|| "over".into(), ToString::to_string);
+        let metrics =
+            trained.as_ref().ok().and_then(|(model, _)| serde_json::to_value(&model.card.metrics).ok());
+        terminal::block_on(async {
+            page.close(&reason, metrics.unwrap_or_default()).await;
+            Ok(())
+        })?;
+    }
+    let (model, diagnostics) = trained?;
     let (wall_s, cpu_s) = run.stopwatch.seconds();
     if args.json {
         let out = serde_json::json!({
@@ -228,9 +260,9 @@ fn adapt(args: &Adapt) -> anyhow::Result<()> {
     let stopwatch = Stopwatch::default();
     let model = WorldModel::named(&args.checkpoint)?;
     let recording = Recording::open(&args.recording, None)?;
-    let bar = progress::bar("adapt", args.steps as u64);
-    let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &bar)?;
-    bar.finish();
+    let shown = StageShow::begin("adapt", args.steps, None);
+    let adapted = learned::adapt::adapt(model, &recording, args.steps, args.seed, &shown)?;
+    shown.finish();
     let learned::adapt::Adapted { model, explained } = adapted;
     model.save(&args.out)?;
     println!(
@@ -261,7 +293,7 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     };
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
     let stopwatch = Stopwatch::default();
-    let trained = recipe::networks(&config, &model)?;
+    let trained = recipe::networks(&config, &model, None)?;
     predictors::publish(&trained, &args.out)?;
     for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
         let name = network.kind().name();
@@ -278,4 +310,15 @@ fn networks(args: &NetworksOf) -> anyhow::Result<()> {
     }
     crpl_sitl::outln!("{:.1} s; in {}", stopwatch.seconds().0, args.out.display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+    use crpl_sitl::program::common;
+
+    #[test]
+    fn every_command_has_examples_that_parse() {
+        assert_eq!(common::wrong_examples(super::Args::command(), super::EXAMPLES), Vec::<String>::new());
+    }
 }

@@ -89,6 +89,7 @@ fn a_model_with_an_alarm_does_not_ship() {
         data: None,
         resume: false,
         stopwatch: Stopwatch::default(),
+        feed: None,
     };
     let error = train(&config, &run).unwrap_err();
     assert!(matches!(error, TrainError::Alarms { .. }), "{error}");

@@ -11,13 +11,13 @@ use crpl_model::evaluation::hard::{self, HardReport, HardRow};
 use crpl_model::training::learned::device::DevicePasses;
 use crpl_model::training::learned::passes::{CpuPasses, Passes};
 use crpl_model::training::learned::{self, EncoderRun, LearnedConfig};
+use crpl_model::training::show::StageShow;
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::{Recording, RecordingFormat, TRUTH};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::CameraConfig;
 use crpl_sitl::world::noise::Noise;
-use indicatif::ProgressBar;
 
 /// A few short episodes of clean and hard cameras.
 fn record(dir: &Path) {
@@ -44,7 +44,7 @@ fn small(steps: usize) -> LearnedConfig {
 
 fn train(recording: &Path, dir: Option<&Path>, steps: usize) -> VoteWeights {
     let recording = Recording::open(recording, None).unwrap();
-    learned::train(&recording, &small(steps), None, &Noise::new(5), dir, &ProgressBar::hidden()).unwrap()
+    learned::train(&recording, &small(steps), None, &Noise::new(5), dir, &StageShow::hidden()).unwrap()
 }
 
 #[test]
@@ -63,13 +63,13 @@ fn an_interrupted_training_ends_with_the_bytes_of_one_that_was_not() {
     record(dir.path());
     let recording = Recording::open(dir.path(), None).unwrap();
     let config = small(7);
-    let bar = ProgressBar::hidden();
+    let bar = StageShow::hidden();
     let unbroken = learned::train(&recording, &config, None, &Noise::new(5), None, &bar).unwrap();
     // Stops after step 6 of 7 with the state of that step on the disk, and goes on.
     let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         let mut watch = |step: usize, _: &VoteWeights| assert!(step < 7, "stopped");
         let passes = &mut CpuPasses::new(&config);
-        let run = EncoderRun { passes, dir: Some(progress.path()), bar: &bar, watch: &mut watch };
+        let run = EncoderRun { passes, dir: Some(progress.path()), shown: &bar, watch: &mut watch };
         learned::train_on(&recording, &config, None, &Noise::new(5), run)
     }));
     assert!(stopped.is_err());
@@ -88,8 +88,8 @@ fn burns_passes_train_what_ours_train() {
     let recording = Recording::open(dir.path(), None).unwrap();
     let config = small(3);
     let run = |passes: &mut dyn Passes| {
-        let bar = ProgressBar::hidden();
-        let run = EncoderRun { passes, dir: None, bar: &bar, watch: &mut |_, _| {} };
+        let bar = StageShow::hidden();
+        let run = EncoderRun { passes, dir: None, shown: &bar, watch: &mut |_, _| {} };
         learned::train_on(&recording, &config, None, &Noise::new(5), run).unwrap()
     };
     let ours = run(&mut CpuPasses::new(&config));
@@ -109,7 +109,7 @@ fn too_few_episodes_are_refused_in_words() {
     record(dir.path());
     let recording = Recording::open(dir.path(), None).unwrap();
     let config = LearnedConfig { held_out: 6, ..small(1) };
-    let error = learned::train(&recording, &config, None, &Noise::new(5), None, &ProgressBar::hidden());
+    let error = learned::train(&recording, &config, None, &Noise::new(5), None, &StageShow::hidden());
     let error = error.unwrap_err().to_string();
     assert!(error.contains("has 6 episodes, and learned.encoder.held_out = 6"), "{error}");
 }

@@ -6,12 +6,12 @@ use std::path::Path;
 
 use crpl_model::encoder::votes::VoteWeights;
 use crpl_model::training::learned::{self, LearnedConfig};
+use crpl_model::training::show::StageShow;
 use crpl_model::world_model::exploration::{self, ExplorationConfig};
 use crpl_model::world_model::recording::{Recording, RecordingFormat, TRUTH, Truth};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::CameraConfig;
 use crpl_sitl::world::noise::Noise;
-use indicatif::ProgressBar;
 
 /// Two short episodes.
 fn collect(dir: &Path, format: RecordingFormat) {
@@ -29,7 +29,7 @@ fn collect(dir: &Path, format: RecordingFormat) {
 fn trained(dir: &Path) -> Vec<f32> {
     let config = LearnedConfig { steps: 3, triples: 2, held_out: 0, ..LearnedConfig::default() };
     let recording = Recording::open(dir, None).unwrap();
-    let bar = ProgressBar::hidden();
+    let bar = StageShow::hidden();
     let weights: VoteWeights = learned::train(&recording, &config, None, &Noise::new(1), None, &bar).unwrap();
     weights.parts().concat()
 }

@@ -50,6 +50,7 @@ fn run(out: &Path, backend: Backend, resume: bool) -> Result<WorldModel, TrainEr
             data: None,
             resume,
             stopwatch: Stopwatch::default(),
+            feed: None,
         },
     )
 }
@@ -120,6 +121,7 @@ fn another_configuration_does_not_go_on_with_the_run() {
         data: None,
         resume: true,
         stopwatch: Stopwatch::default(),
+        feed: None,
     };
     let error = train(&other, &run).unwrap_err().to_string();
     assert!(error.contains("another configuration"), "{error}");
@@ -185,6 +187,7 @@ fn a_gradient_stage_that_was_stopped_ends_with_the_bytes_of_one_that_was_not() {
         data: None,
         resume,
         stopwatch: Stopwatch::default(),
+        feed: None,
     };
     let mut learned = with_gradient();
     if let Some(gradient) = &mut learned.stages.gradient {

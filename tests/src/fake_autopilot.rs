@@ -3,7 +3,7 @@
 //!
 //! | | ArduCopter | PX4 |
 //! |---|---|---|
-//! | unasked | heartbeats | heartbeats, LOCAL_POSITION_NED |
+//! | unasked | heartbeats | heartbeats, LOCAL_POSITION_NED, GLOBAL_POSITION_INT |
 //! | mode | GUIDED once the EKF has a position | OFFBOARD after more than 1 s of setpoints, else TEMPORARILY_REJECTED |
 //! | arming | FAILED and a text until its checks pass | accepted |
 //! | takeoff | NAV_TAKEOFF, armed and in GUIDED | by position setpoints |
@@ -26,14 +26,15 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
-    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult, MavSeverity, MavState,
-    MavType, STATUSTEXT_DATA,
+    GLOBAL_POSITION_INT_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult,
+    MavSeverity, MavState, MavType, STATUSTEXT_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandLong;
 use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
+use crpl_sitl::vehicle::geodesy::Site;
 
 /// Whom it copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -332,6 +333,11 @@ impl Autopilot {
             let [vx, vy, vz] = self.velocity.map(|v| v as f32);
             let time_boot_ms = self.clock_ahead_ms.wrapping_add((self.time * 1e3) as u32);
             let message = LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
+            self.encoder.push(&mut self.out, &message);
+            let [lat, lon] = Site::default().latitude_longitude([x, y]);
+            let relative_alt = (-z * 1e3) as i32;
+            let message =
+                GLOBAL_POSITION_INT_DATA { time_boot_ms, lat, lon, relative_alt, ..Default::default() };
             self.encoder.push(&mut self.out, &message);
         }
     }

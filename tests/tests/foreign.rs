@@ -14,6 +14,7 @@ use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
+use crpl_sitl::vehicle::geodesy::Site;
 use tests::fake_autopilot::{Autopilot, Served, Stack};
 use tests::program::{self, Program};
 
@@ -367,6 +368,9 @@ fn the_wrong_stack_is_told() {
 #[test]
 fn gcs_flies_both_over_their_own_transports() {
     let folder = tempfile::tempdir().unwrap();
+    let town = folder.path().join("town.geojson");
+    let ring = "[[8.5456,47.3977],[8.5457,47.3977],[8.5457,47.3978],[8.5456,47.3977]]";
+    std::fs::write(&town, format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#)).unwrap();
     for (fake, _, name) in STACKS {
         let served = Served::start(Autopilot::new(fake, [3.0, -4.0], false), 8.0).unwrap();
         let out = folder.path().join(name);
@@ -383,6 +387,9 @@ fn gcs_flies_both_over_their_own_transports() {
             "8",
             "--out",
             out,
+            "--watch",
+            "--buildings",
+            town.to_str().unwrap(),
             "--json",
         ];
         let printed = Program::start("gcs", &args, None).unwrap().wait().unwrap().good().unwrap();
@@ -392,5 +399,21 @@ fn gcs_flies_both_over_their_own_transports() {
         let hold = if name == "px4" { 4 << 16 | 3 << 24 } else { 17 };
         assert_eq!(served.with(|autopilot| autopilot.mode()), hold, "{name} holds its place");
         assert!(served.with(|autopilot| !autopilot.poisoned), "{name}");
+        assert_lies_on_earth(&folder.path().join(name));
     }
+}
+
+/// The flight's page has the field where the vehicle's local frame is, and the buildings.
+fn assert_lies_on_earth(run: &std::path::Path) {
+    let html = std::fs::read_to_string(run.join("flight.html")).unwrap();
+    let lines = crpl_gcs::watch::document::lines_of(&html).unwrap();
+    let lines: Vec<serde_json::Value> =
+        lines.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let geo = lines.iter().find(|line| line["kind"] == "geo").expect("a geo line");
+    assert_eq!(geo["buildings"]["coordinates"][0][0].as_array().map(Vec::len), Some(4), "{geo}");
+    let degrees = |k: usize| geo["origin"][k].as_f64().unwrap();
+    let [lat, lon] = Site::default().latitude_longitude([0.0; 2]).map(|e7| f64::from(e7) * 1e-7);
+    let metres = [degrees(0) - lat, degrees(1) - lon].map(|degrees| degrees.to_radians() * 6.378e6);
+    // The field's corner is its start's coordinates away from where the vehicle took off.
+    assert!(metres[0].hypot(metres[1]) < 100.0 && metres != [0.0; 2], "{metres:?}");
 }

@@ -261,3 +261,137 @@ fn a_bridge_shows_the_vehicles_that_it_hears() {
     assert!(text.contains("\"ok\":true"), "{text}");
     program.interrupt().unwrap();
 }
+
+#[test]
+fn a_bridge_shows_buildings_on_its_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let town = dir.path().join("town.geojson");
+    let ring = "[[8.5456,47.3977],[8.5457,47.3977],[8.5457,47.3978],[8.5456,47.3977]]";
+    fs::write(&town, format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#)).unwrap();
+    let (_vehicle, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let vehicle = format!("udpout:{address}");
+    let town = town.to_str().unwrap();
+    let ends = ["bridge", "--connect", &vehicle, "--forward", "udpin:127.0.0.1:0"];
+    let args = [&ends[..], &["--watch", "--buildings", town]].concat();
+    let program = Program::start("gcs", &args, None).unwrap();
+    let (host, _) = page(&program);
+    let told = events(&mut asked(&host, "GET /events", &[], ""), |event| event["kind"] == "geo");
+    let geo = told.last().unwrap();
+    assert_eq!(geo["buildings"]["coordinates"][0][0][2], json!([8.5457, 47.3978]), "{geo}");
+    program.interrupt().unwrap();
+    let refused = Program::start("gcs", &[&ends[..], &["--buildings", town]].concat(), None).unwrap();
+    assert_eq!(refused.wait().unwrap().status.code(), Some(2), "a map needs a page");
+}
+
+#[test]
+fn a_link_shows_the_vehicle_that_comes_through_and_its_station() {
+    let (_vehicle, address) = program::sitl(&["--pace", "realtime"]).unwrap();
+    let vehicle = format!("udpout:{address}");
+    let args = ["link", "--radio", "wifi", "--vehicle", &vehicle, "--ground", "udpin:127.0.0.1:0", "--watch"];
+    let link = Program::start("gcs", &args, None).unwrap();
+    let ground = link.line("ground: listening on udpin:").unwrap();
+    let (host, _) = page(&link);
+    // A tool that says hello.
+    let tool = ["bridge", "--connect", &format!("udpout:{ground}"), "--forward", "udpin:127.0.0.1:0"];
+    let tool = Program::start("gcs", &tool, None).unwrap();
+    let stands =
+        |event: &Value| event["kind"] == "hello" && event["scenario"]["channel"]["base_station"].is_array();
+    let mut stream = asked(&host, "GET /events", &[], "");
+    let told = events(&mut stream, stands);
+    let count = kinds(&told);
+    assert!(count["geo"] == 1 && count["tick"] > 0 && count["link"] > 0, "{count:?}");
+    let has_snr = |event: &Value| event["kind"] == "tick" && event["snr_db"].is_f64();
+    events(&mut stream, has_snr);
+    tool.interrupt().unwrap();
+    link.interrupt().unwrap();
+    link.wait().unwrap().good().unwrap();
+}
+
+#[test]
+fn a_recording_is_watched_and_replayed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_vehicle, address) = program::sitl(&["--pace", "lockstep"]).unwrap();
+    let (vehicle, out) = (format!("udpout:{address}"), dir.path().join("recording"));
+    let flags = ["--episodes", "2", "--pictures", "30", "--out", out.to_str().unwrap()];
+    let args = [&["record", "--connect", &vehicle, "--watch", "--watch-stay"][..], &flags].concat();
+    let program = Program::start("gcs", &args, None).unwrap();
+    let (host, _) = page(&program);
+    let flown = events(&mut asked(&host, "GET /events", &[], ""), is_end);
+    program.interrupt().unwrap();
+    program.wait().unwrap().good().unwrap();
+    let count = kinds(&flown);
+    assert_eq!((count["hello"], count["picture"], count["tick"]), (1, 60, 59), "{count:?}");
+    let progress = flown.iter().rfind(|event| event["kind"] == "progress").unwrap();
+    assert_eq!((&progress["done"], &progress["total"]), (&json!(2), &json!(2)));
+
+    let args = ["replay", out.to_str().unwrap(), "--speed", "1000", "--watch", "--watch-stay"];
+    let program = Program::start("gcs", &args, None).unwrap();
+    let (host, _) = page(&program);
+    let told = events(&mut asked(&host, "GET /events", &[], ""), is_end);
+    program.interrupt().unwrap();
+    let count = kinds(&told);
+    // Two episodes of 29 intervals; the last picture of each begins none.
+    assert_eq!((count["tick"], count["picture"]), (58, 58), "{count:?}");
+    let of = |events: &[Value], kind: &str| -> Vec<Value> {
+        events.iter().filter(|event| event["kind"] == kind).cloned().collect()
+    };
+    let (flown, told) = (of(&flown, "tick"), of(&told, "tick"));
+    for (flown, told) in flown[..29].iter().zip(&told) {
+        for key in ["tick", "snr_db", "power", "outage"] {
+            assert_eq!(flown[key], told[key], "{key} of {flown}");
+        }
+        for k in 0..2 {
+            let apart = flown["r_next"][k].as_f64().unwrap() - told["r_next"][k].as_f64().unwrap();
+            assert!(apart.abs() < 1e-6, "{flown}, {told}");
+        }
+    }
+}
+
+#[test]
+fn a_record_alone_is_replayed_as_it_was_flown() {
+    let dir = tempfile::tempdir().unwrap();
+    demo(dir.path(), &["--scenario", "2"]).wait().unwrap().good().unwrap();
+    let (run, alone) = (dir.path().join("crpl"), dir.path().join("alone.jsonl"));
+    fs::copy(run.join("record.jsonl"), &alone).unwrap();
+    let args = ["replay", alone.to_str().unwrap(), "--speed", "1000", "--watch", "--watch-stay"];
+    let program = Program::start("gcs", &args, None).unwrap();
+    let (host, _) = page(&program);
+    let told = events(&mut asked(&host, "GET /events", &[], ""), is_end);
+    program.interrupt().unwrap();
+    let of = |events: &[Value], kind: &str| -> Vec<Value> {
+        events.iter().filter(|event| event["kind"] == kind).cloned().collect()
+    };
+    let before = lines_in(&run.join("flight.html"));
+    for kind in ["tick", "command"] {
+        assert_eq!(of(&told, kind), of(&before, kind), "{kind}");
+    }
+    assert!(kinds(&told)["field"] > 0);
+}
+
+#[test]
+fn a_training_shows_its_curves() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = dir.path().join("small.toml");
+    let recording = "[learned.recording]\nepisodes = 6\npictures = 24\n";
+    let encoder = "[learned.encoder]\nsteps = 100\ntriples = 2\nheld_out = 1\n";
+    fs::write(&config, format!("{recording}{encoder}")).unwrap();
+    let out = dir.path().join("model");
+    let args = ["train", "--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let program = Program::start("model", &[&args[..], &["--watch"]].concat(), None).unwrap();
+    let (host, _) = page(&program);
+    let told = events(&mut asked(&host, "GET /events", &[], ""), |event| {
+        event["kind"] == "curve" && event["x"] == 100.0 && event["name"] == "encoder: error of the gain, dB"
+    });
+    let curves: std::collections::BTreeSet<&str> = told
+        .iter()
+        .filter(|event| event["kind"] == "curve")
+        .filter_map(|event| event["name"].as_str())
+        .collect();
+    for name in ["encoder: loss", "encoder: correlation of z_c with the actions", "encoder: error of z_u, px"]
+    {
+        assert!(curves.contains(name), "{curves:?}");
+    }
+    assert!(told.iter().any(|event| event["kind"] == "progress" && event["text"] == "recording"));
+    assert_eq!(told[0]["program"], "model train");
+    program.interrupt().unwrap();
+}

@@ -57,6 +57,7 @@ use crate::tools::replay;
 use crate::tools::session::{LinkFlags, Session};
 use crate::tools::steering::PageSteering;
 use crate::watch::control::{RequestQueue, VehicleRequest};
+use crate::watch::map::FieldPlace;
 
 /// The station's heartbeat.
 const HEARTBEAT: Duration = Duration::from_secs(1);
@@ -166,6 +167,9 @@ pub trait Crew {
 
     /// The vehicle says something, of severity 0 (emergency) to 7 (debug).
     fn heard(&mut self, _severity: u8, _text: &str) {}
+
+    /// Where on Earth the field lies, if that is known: told once, after [`Crew::begin`].
+    fn located(&mut self, _place: FieldPlace) {}
 
     /// Counters of the link, by name: once a second, and at the end.
     fn link(&mut self, _counters: &serde_json::Value) {}

@@ -14,6 +14,7 @@ use crate::station::Station;
 use crate::station::pilot::Controller;
 use crate::watch::Shown;
 use crate::watch::feed::Feed;
+use crate::watch::map::FieldPlace;
 use crate::watch::watcher::FlightWatcher;
 
 /// The exit code of a flight whose results could not be written.
@@ -128,6 +129,12 @@ impl Crew for LoggedStation {
         watched.for_each(|feed| feed.log(level(severity), time, format!("vehicle: {text}")));
     }
 
+    fn located(&mut self, place: FieldPlace) {
+        if let Some(watcher) = &self.watcher {
+            watcher.locate(place);
+        }
+    }
+
     fn link(&mut self, counters: &serde_json::Value) {
         let tick = self.station.records().last().map_or(0, |record| record.tick.0);
         if let Some(watcher) = &self.watcher {
@@ -137,7 +144,8 @@ impl Crew for LoggedStation {
 }
 
 /// The log's level of a severity of MAVLink.
-fn level(severity: u8) -> &'static str {
+#[must_use]
+pub fn level(severity: u8) -> &'static str {
     match severity {
         0..=3 => "error",
         4 => "warn",

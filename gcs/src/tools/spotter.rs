@@ -8,6 +8,7 @@ use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, MavMessage, STATUSTEXT_DATA};
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
+use crpl_sitl::link::messages::telemetry::NamedValueFloat;
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::vehicle::geodesy::{Home, Site};
 use serde_json::{Value, json};
@@ -37,13 +38,25 @@ pub struct Spotter {
     decoder: Decoder,
     fleet: Fleet,
     site: Option<Site>,
+    buildings: Option<Value>,
+    /// Where the station stands: m east and north of the origin.
+    base: Option<[f64; 2]>,
     spots: BTreeMap<u8, Option<Spot>>,
+    radios: BTreeMap<u8, SpottedRadio>,
+}
+
+/// What a vehicle's radio tells: `SNR_DB`, `TXP`, `OUTAGE`.
+#[derive(Debug, Clone, Copy, Default)]
+struct SpottedRadio {
+    snr_db: Option<f32>,
+    power: Option<f32>,
+    outage: Option<f32>,
 }
 
 impl Spotter {
-    /// Of a program; whether its page may steer.
+    /// Of a program; whether its page may steer; buildings of the map, as GeoJSON.
     #[must_use]
-    pub fn new(feed: Feed, program: &str, control: bool) -> Self {
+    pub fn new(feed: Feed, program: &str, control: bool, buildings: Option<Value>) -> Self {
         let spotter = Self {
             feed,
             program: program.into(),
@@ -51,7 +64,10 @@ impl Spotter {
             decoder: Decoder::default(),
             fleet: Fleet::default(),
             site: None,
+            buildings,
+            base: None,
             spots: BTreeMap::new(),
+            radios: BTreeMap::new(),
         };
         spotter.hello();
         spotter
@@ -70,13 +86,25 @@ impl Spotter {
             revision: crate::revision().into(),
             seed: None,
             frame: ShownFrame::Local,
-            scenario: None,
+            scenario: self.base.map(|base| json!({ "channel": { "base_station": base } })),
             vehicles: self.spots.keys().map(vehicle).collect(),
             limits: None,
             ticks: None,
             dt_s: INTERVAL_S,
             control: self.control,
         });
+    }
+
+    /// The place of the only vehicle or of the first, m east and north of the origin.
+    #[must_use]
+    pub fn place(&self) -> Option<[f64; 2]> {
+        self.spots.values().flatten().next().map(|spot| spot.place)
+    }
+
+    /// Shows the station, m east and north of the origin.
+    pub fn stand(&mut self, base: [f64; 2]) {
+        self.base = Some(base.map(|metres| rounded(metres, 1)));
+        self.hello();
     }
 
     /// The flight stack of a vehicle and its autopilot's component, if it was heard.
@@ -110,6 +138,15 @@ impl Spotter {
             let level = if message.severity as u8 <= 4 { "warn" } else { "info" };
             self.feed.log(level, time_s, text);
         }
+        if let Some(told) = NamedValueFloat::of(packet).filter(|told| told.value.is_finite()) {
+            let radio = self.radios.entry(packet.system).or_default();
+            match &*told.name.lossy() {
+                "SNR_DB" => radio.snr_db = Some(told.value),
+                "TXP" => radio.power = Some(told.value),
+                "OUTAGE" => radio.outage = Some(told.value),
+                _ => {}
+            }
+        }
         if packet.is::<GLOBAL_POSITION_INT_DATA>()
             && let Some(MavMessage::GLOBAL_POSITION_INT(message)) = packet.message()
         {
@@ -130,7 +167,8 @@ impl Spotter {
             None => {
                 let [latitude, longitude] = degrees;
                 let home = Home { latitude, longitude, altitude_m: 0.0, heading: 0.0 };
-                self.feed.send(&WatchEvent::Geo { origin: degrees, buildings: None });
+                let buildings = self.buildings.take();
+                self.feed.send(&WatchEvent::Geo { origin: degrees, heading: 0.0, buildings });
                 *self.site.insert(Site::with_home(&home, [0.0; 2]))
             }
         };
@@ -138,7 +176,11 @@ impl Spotter {
         let place = [rounded(east, 2), rounded(north, 2)];
         let velocity = [told.vy, told.vx].map(|cm| f64::from(cm) / 100.0);
         let before = last.unwrap_or(Spot { place, velocity, tick });
+        let radio = self.radios.get(&system).copied().unwrap_or_default();
         self.feed.send(&WatchEvent::Tick(json!({
+            "snr_db": radio.snr_db,
+            "power": radio.power,
+            "outage": radio.outage.is_some_and(|outage| outage != 0.0),
             "vehicle": system,
             "tick": tick,
             "r": before.place,
@@ -174,7 +216,7 @@ mod tests {
     #[test]
     fn a_vehicle_appears_and_its_places_are_metres_from_the_first() {
         let feed = Feed::default();
-        let mut spotter = Spotter::new(feed.clone(), "gcs bridge", false);
+        let mut spotter = Spotter::new(feed.clone(), "gcs bridge", false, None);
         let (mut vehicle, mut datagram) = (Encoder::new(3, 1), Vec::new());
         let autopilot = MavAutopilot::MAV_AUTOPILOT_PX4;
         vehicle.push(&mut datagram, &HEARTBEAT_DATA { autopilot, ..Default::default() });

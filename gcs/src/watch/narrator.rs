@@ -3,8 +3,6 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use crpl_model::numeric::kernel::LANES;
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::outlook::{Outlook, OutlookStart};
@@ -12,7 +10,6 @@ use crpl_model::planning::problem::{PlanningProblem, PlanningState};
 use crpl_model::world_model::{Affine, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
-use crpl_sitl::link::image::png_from_frame;
 use crpl_sitl::radio::message::{Command, Telemetry};
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::{Snr, Tick, TxPower};
@@ -26,6 +23,7 @@ use crate::station::belief::{Belief, CommandFate, Ledger};
 use crate::station::pilot::foresight::{Foresight, PowerRule};
 use crate::station::seen::Heard;
 use crate::watch::feed::{Feed, ShownBelief, WatchEvent, rounded};
+use crate::watch::picture;
 
 /// Cells of a field's side.
 const CELLS: usize = 48;
@@ -54,8 +52,8 @@ pub struct StationSight {
 pub struct SeenScene {
     /// The picture as it was received.
     pub frame: Arc<Frame>,
-    /// What the station makes of it.
-    pub belief: Belief,
+    /// What the station makes of it, if it does.
+    pub belief: Option<Belief>,
     /// How its controller goes on.
     pub foresight: Option<Foresight>,
 }
@@ -66,7 +64,8 @@ pub struct Narrator {
     feeds: Vec<Feed>,
     vehicle: u32,
     scenario: Scenario,
-    world: Arc<WorldModel>,
+    /// `None` where nobody believes anything.
+    world: Option<Arc<WorldModel>>,
     /// `None` where the world model says nothing of the scenario.
     problem: Option<PlanningProblem>,
     noise: Noise,
@@ -78,12 +77,12 @@ pub struct Narrator {
 impl Narrator {
     /// Of vehicle number `vehicle`.
     #[must_use]
-    pub fn new(feeds: Vec<Feed>, vehicle: u32, scenario: &Scenario, world: &Arc<WorldModel>) -> Self {
+    pub fn new(feeds: Vec<Feed>, vehicle: u32, scenario: &Scenario, world: Option<&Arc<WorldModel>>) -> Self {
         Self {
             feeds,
             vehicle,
             scenario: scenario.clone(),
-            world: world.clone(),
+            world: world.cloned(),
             problem: None,
             noise: Noise::new(0),
             ledger: Ledger::new(scenario.radio.rule),
@@ -108,8 +107,8 @@ impl Narrator {
         self.sent.insert(command.tick, command);
         self.field(tick, &sight.telemetry, command.power);
         let Some(scene) = sight.scene else { return };
-        if let Ok(png) = png_from_frame(&scene.frame, sight.telemetry.tick) {
-            self.send(&WatchEvent::Picture { vehicle: self.vehicle, tick, png: STANDARD.encode(png) });
+        if let Some(picture) = picture(self.vehicle, tick, &scene.frame) {
+            self.send(&picture);
         }
         if let Some(belief) = self.belief(tick, &scene) {
             self.send(&WatchEvent::Belief(Box::new(belief)));
@@ -164,9 +163,10 @@ impl Narrator {
     }
 
     fn belief(&mut self, tick: u64, scene: &SeenScene) -> Option<ShownBelief> {
-        let (c, u) = (scene.belief.controllable(), scene.belief.uncontrollable());
+        let (world, believed) = (self.world.clone()?, scene.belief.as_ref()?);
+        let (c, u) = (believed.controllable(), believed.uncontrollable());
         let (estimate, certainty) = (c.estimate()?, c.certainty()?);
-        let probe = self.world.probe;
+        let probe = world.probe;
         let sigma = deviations(&probe.c, &certainty.y);
         let obstacles = u.iter().filter_map(|u| Some(shown(&probe.u, u.estimate()?.y, 4)));
         let mut belief = ShownBelief {
@@ -189,7 +189,7 @@ impl Narrator {
             reported_obstacle: scene.foresight.as_ref().and_then(|foresight| foresight.reported_obstacle),
         };
         if let Some(foresight) = scene.foresight.as_ref().filter(|_| !u.is_empty()) {
-            self.look_ahead(tick, foresight, &start, &mut belief);
+            self.look_ahead(&world, tick, foresight, &start, &mut belief);
         }
         Some(belief)
     }
@@ -197,6 +197,7 @@ impl Narrator {
     /// Adds the rollout under the controller's policy.
     fn look_ahead(
         &mut self,
+        world: &WorldModel,
         tick: u64,
         foresight: &Foresight,
         start: &OutlookStart,
@@ -206,12 +207,12 @@ impl Narrator {
             // The scenario's own gusts, not those that a policy is hardened by.
             let config =
                 OptimiseConfig { starts: 1, gust_std: 0.0, gust_factor: 1.0, ..OptimiseConfig::default() };
-            self.problem = PlanningProblem::of(&self.world, &self.scenario, &config, 0).ok();
+            self.problem = PlanningProblem::of(world, &self.scenario, &config, 0).ok();
         }
         let Some(problem) = &self.problem else { return };
         let motion = &foresight.policies.motion;
         let outlook = problem.outlook(motion, start, &self.noise, tick, HORIZON);
-        let place = |y: [f32; 2]| shown(&self.world.probe.c, Vector2::new(y[0].into(), y[1].into()), 3);
+        let place = |y: [f32; 2]| shown(&world.probe.c, Vector2::new(y[0].into(), y[1].into()), 3);
         belief.fan = (0..DRAWN).map(|m| outlook.y_c.iter().map(|y| place(y[m])).collect()).collect();
         let mean = |values: &[f32; LANES]| values.iter().map(|v| f64::from(*v)).sum::<f64>() / LANES as f64;
         belief.risk = outlook.risk.iter().map(|p| rounded(mean(p), 4)).collect();

@@ -6,11 +6,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
+use crpl_sitl::Scenario;
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use serde_json::Value;
 
 use crate::station::Station;
 use crate::watch::feed::{Feed, ShownFrame, ShownLimits, ShownVehicle, VERSION, WatchEvent, rounded};
+use crate::watch::map::FieldPlace;
 use crate::watch::narrator::{Narrator, SeenScene, StationSight};
 use crate::watch::{Shown, document};
 
@@ -20,11 +22,57 @@ const WAITING: usize = 256;
 /// Scenes that are kept until the flight is over; of more, every other one is forgotten.
 const KEPT: usize = 256;
 
+/// A narrator on a thread of its own: whoever tells it something waits for nothing.
+#[derive(Debug)]
+pub struct NarratorThread {
+    sights: Sender<StationSight>,
+    waiting: Arc<AtomicUsize>,
+    thread: JoinHandle<Narrator>,
+}
+
+impl NarratorThread {
+    /// Starts it.
+    #[must_use]
+    pub fn begin(mut narrator: Narrator) -> Self {
+        let (sights, told) = channel::<StationSight>();
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let left = waiting.clone();
+        let thread = std::thread::spawn(move || {
+            for sight in told {
+                left.fetch_sub(1, Ordering::Relaxed);
+                narrator.tell(sight);
+            }
+            narrator
+        });
+        Self { sights, waiting, thread }
+    }
+
+    /// Whether there is room for one more scene.
+    #[must_use]
+    pub fn keeps_up(&self) -> bool {
+        self.waiting.load(Ordering::Relaxed) < WAITING
+    }
+
+    /// Tells a sight.
+    pub fn tell(&self, sight: StationSight) {
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        // A thread that is gone tells nothing more.
+        let _ = self.sights.send(sight);
+    }
+
+    /// Waits until all is told; `None` if it has failed.
+    #[must_use]
+    pub fn end(self) -> Option<Narrator> {
+        drop(self.sights);
+        self.thread.join().ok()
+    }
+}
+
 /// Where sights go.
 #[derive(Debug)]
 enum Telling {
     /// To a thread, while the flight is on.
-    Beside { sights: Sender<StationSight>, waiting: Arc<AtomicUsize>, thread: JoinHandle<Narrator> },
+    Beside(NarratorThread),
     /// Nowhere until it is over.
     After { sights: Vec<StationSight>, scenes: usize, stride: u64, narrator: Box<Narrator> },
 }
@@ -39,11 +87,11 @@ pub struct FlightWatcher {
     telling: Telling,
     vehicle: u32,
     told: usize,
+    buildings: Option<Value>,
 }
 
 /// The scenario's limits, as the page draws them.
-fn limits(station: &Station) -> ShownLimits {
-    let scenario = station.scenario();
+fn limits(scenario: &Scenario) -> ShownLimits {
     ShownLimits {
         delta: scenario.safety.collision_tolerance,
         gamma_min_db: rounded(10.0 * scenario.channel.snr_min.log10(), 3),
@@ -52,10 +100,9 @@ fn limits(station: &Station) -> ShownLimits {
     }
 }
 
-/// The first line of a flight of `station`.
+/// The first line of a flight in `scenario`.
 #[must_use]
-pub fn hello(station: &Station, shown: &Shown) -> WatchEvent {
-    let scenario = station.scenario();
+pub fn hello(scenario: &Scenario, shown: &Shown) -> WatchEvent {
     WatchEvent::Hello {
         version: VERSION,
         title: format!("{}: {}", shown.program, scenario.name),
@@ -65,7 +112,7 @@ pub fn hello(station: &Station, shown: &Shown) -> WatchEvent {
         frame: ShownFrame::Square,
         scenario: serde_json::to_value(scenario).ok(),
         vehicles: shown.vehicles.clone(),
-        limits: Some(limits(station)),
+        limits: Some(limits(scenario)),
         ticks: Some(scenario.horizon),
         dt_s: scenario.scale.interval_s,
         control: shown.control,
@@ -79,17 +126,17 @@ impl FlightWatcher {
         let own = Feed::default();
         let vehicle: Vec<ShownVehicle> = shown.vehicles.last().cloned().into_iter().collect();
         let id = vehicle.first().map_or(1, |vehicle| vehicle.id);
-        own.send(&hello(station, &Shown { vehicles: vehicle, control: false, ..shown.clone() }));
+        own.send(&hello(station.scenario(), &Shown { vehicles: vehicle, control: false, ..shown.clone() }));
         if let Some(live) = &live {
-            live.send(&hello(station, shown));
+            live.send(&hello(station.scenario(), shown));
         }
         let feeds: Vec<Feed> = std::iter::once(own.clone()).chain(live.clone()).collect();
-        let narrator = Narrator::new(feeds, id, station.scenario(), station.world());
+        let narrator = Narrator::new(feeds, id, station.scenario(), Some(station.world()));
         let telling = match &live {
-            Some(_) => beside(narrator),
+            Some(_) => Telling::Beside(NarratorThread::begin(narrator)),
             None => Telling::After { sights: Vec::new(), scenes: 0, stride: 1, narrator: Box::new(narrator) },
         };
-        Self { own, live, telling, vehicle: id, told: 0 }
+        Self { own, live, telling, vehicle: id, told: 0, buildings: shown.buildings.clone() }
     }
 
     /// The feeds that it tells.
@@ -100,12 +147,12 @@ impl FlightWatcher {
     /// The command to `percept` has left.
     pub fn saw(&mut self, station: &Station, percept: &Percept, command: Command) {
         let wanted = match &self.telling {
-            Telling::Beside { waiting, .. } => waiting.load(Ordering::Relaxed) < WAITING,
+            Telling::Beside(thread) => thread.keeps_up(),
             Telling::After { stride, .. } => percept.telemetry.tick.0.is_multiple_of(*stride),
         };
         let scene = wanted.then(|| SeenScene {
             frame: percept.frame.clone(),
-            belief: station.belief().clone(),
+            belief: Some(station.belief().clone()),
             foresight: station.pilot().foresight(),
         });
         self.add(station, percept.telemetry, Some(command), scene);
@@ -122,11 +169,7 @@ impl FlightWatcher {
         self.told += records.len();
         let sight = StationSight { telemetry, command, records, scene };
         match &mut self.telling {
-            Telling::Beside { sights, waiting, .. } => {
-                waiting.fetch_add(1, Ordering::Relaxed);
-                // A thread that is gone tells nothing more.
-                let _ = sights.send(sight);
-            }
+            Telling::Beside(thread) => thread.tell(sight),
             Telling::After { sights, scenes, stride, .. } => {
                 *scenes += usize::from(sight.scene.is_some());
                 sights.push(sight);
@@ -141,6 +184,13 @@ impl FlightWatcher {
                 }
             }
         }
+    }
+
+    /// Where on Earth the field lies.
+    pub fn locate(&self, place: FieldPlace) {
+        let FieldPlace { origin, heading } = place;
+        let event = WatchEvent::Geo { origin, heading, buildings: self.buildings.clone() };
+        self.feeds().for_each(|feed| feed.send(&event));
     }
 
     /// Counters of the flight's link, by name.
@@ -163,10 +213,7 @@ impl FlightWatcher {
             self.add(station, *last, None, None);
         }
         let narrator = match self.telling {
-            Telling::Beside { sights, thread, .. } => {
-                drop(sights);
-                thread.join().ok()
-            }
+            Telling::Beside(thread) => thread.end(),
             Telling::After { sights, mut narrator, .. } => {
                 sights.into_iter().for_each(|sight| narrator.tell(sight));
                 Some(*narrator)
@@ -179,18 +226,4 @@ impl FlightWatcher {
         self.own.send(&end);
         document::flight(&self.own.all())
     }
-}
-
-fn beside(mut narrator: Narrator) -> Telling {
-    let (sights, told) = channel::<StationSight>();
-    let waiting = Arc::new(AtomicUsize::new(0));
-    let left = waiting.clone();
-    let thread = std::thread::spawn(move || {
-        for sight in told {
-            left.fetch_sub(1, Ordering::Relaxed);
-            narrator.tell(sight);
-        }
-        narrator
-    });
-    Telling::Beside { sights, waiting, thread }
 }

@@ -2,10 +2,9 @@
 //! predictors, probe, risk and channel heads. Knows no order and no files; `train` puts them together.
 
 use crpl_sitl::camera::Frame;
-use crpl_sitl::program::progress;
+use crpl_sitl::program::page::feed::Feed;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
-use indicatif::ProgressBar;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
@@ -19,6 +18,7 @@ use crate::numeric::statistics::quantile;
 use crate::predictor::linear::{self, Half, Linear};
 use crate::training::closed_form::{self, FitError, Triples};
 use crate::training::heads::{self, Samples};
+use crate::training::show::StageShow;
 use crate::world_model::card::FitCheck;
 use crate::world_model::config::TrainConfig;
 use crate::world_model::dataset::{self, EDGE_BAND, Episode, Triple};
@@ -53,6 +53,8 @@ pub struct TrainContext<'a> {
     pub device: &'a burn::tensor::Device,
     /// Whether progress is shown.
     pub bars: bool,
+    /// Where others watch, if they can.
+    pub feed: Option<&'a Feed>,
 }
 
 impl TrainContext<'_> {
@@ -69,10 +71,10 @@ impl TrainContext<'_> {
         self.data.cameras.apply(scene.frame(self.data.scenario), id)
     }
 
-    /// A progress bar of `length` steps.
+    /// A stage of `length` steps.
     #[must_use]
-    pub fn bar(&self, name: &'static str, length: usize) -> ProgressBar {
-        if self.bars { progress::bar(name, length as u64) } else { ProgressBar::hidden() }
+    pub fn bar(&self, name: &'static str, length: usize) -> StageShow {
+        if self.bars { StageShow::begin(name, length, self.feed) } else { StageShow::hidden() }
     }
 }
 
@@ -100,7 +102,7 @@ pub fn features(context: &TrainContext<'_>, weights: &Weights, picks: &[Vec<Trip
     let sets = picks.each_ref().map(|triples| {
         let features = [0, 1, 2].map(|n| {
             let draw = |t: &Triple| context.frame(t.episode, t.first + n * t.lag);
-            let tick = |done| bar.inc(done as u64);
+            let tick = |done| bar.add(done as u64);
             module::features_of(
                 &trunk,
                 &weights.input,
@@ -192,7 +194,7 @@ pub fn fit_predictor(context: &TrainContext<'_>, encoder: &Encoder) -> Option<Li
         for k in 0..latents.len().saturating_sub(2 * lag) {
             lagged.push(([0, 1, 2].map(|n| wide(&latents[k + n * lag].z_c)), episode.input_response(k, lag)));
         }
-        bar.inc(1);
+        bar.add(1);
     }
     bar.finish();
     let (c0, c1, one_step) = linear::fit_pinned(&c, config.predictor.ridge)?;
@@ -243,7 +245,7 @@ pub fn train_heads(context: &TrainContext<'_>, encoder: &Encoder, probe: &Probe)
         label: drawn.iter().map(|(scene, station)| scene.label(*station, scenario, floor)).collect(),
     };
     let bar = context.bar("heads", 2 * config.steps);
-    let heads = heads::train(&samples, probe, config, context.device, context.noise, || bar.inc(1));
+    let heads = heads::train(&samples, probe, config, context.device, context.noise, || bar.add(1));
     bar.finish();
     heads
 }

@@ -9,7 +9,6 @@ use std::path::Path;
 use burn::tensor::{Gradients, Tensor};
 use crpl_sitl::camera::Frame;
 use crpl_sitl::world::noise::{Noise, Stream};
-use indicatif::ProgressBar;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
@@ -23,6 +22,7 @@ use crate::numeric::tensors::{self, Reader, TensorError, Writer, write_all};
 use crate::training::closed_form::FitError;
 use crate::training::fitting::{self, TrainContext, TrainData};
 use crate::training::losses::{self, Anchors, GradientPredictors, LossValue, Running, Views};
+use crate::training::show::StageShow;
 use crate::world_model::config::TrainConfig;
 use crate::world_model::dataset::{self, Triple};
 use crate::world_model::stages::{Gradient, HeadStart, Layers, PsiStart};
@@ -65,7 +65,7 @@ pub fn train(
     stage: &Gradient,
     context: &TrainContext<'_>,
     dir: Option<&Path>,
-    bar: &ProgressBar,
+    shown: &StageShow,
 ) -> Result<Weights, GradientError> {
     let TrainContext { config, data, planes, noise, device, .. } = *context;
     let autodiff = device.clone().autodiff();
@@ -73,7 +73,7 @@ pub fn train(
     let progress = dir.map(|dir| dir.join(PROGRESS));
     let mut state = GradientState::load_or_begin(progress.as_deref(), start, stage, noise)?;
     let mut recent = Recent::default();
-    bar.set_position(state.step as u64);
+    shown.at(state.step);
     while state.step < stage.steps {
         if stage.heads == HeadStart::ClosedForm && state.step.is_multiple_of(stage.refit_every) {
             state.refit(context, stage)?;
@@ -108,7 +108,7 @@ pub fn train(
         state.target.follow(&state.online, stage.momentum as f32);
 
         state.step += 1;
-        bar.set_position(state.step as u64);
+        shown.at(state.step);
         if let Some(progress) = &progress
             && state.step.is_multiple_of(stage.save_every)
         {
@@ -116,8 +116,10 @@ pub fn train(
         }
         if state.step.is_multiple_of(REPORT_EVERY) || state.step == stage.steps {
             let diagnostics = recent.diagnostics(config.encoder.scale);
-            bar.set_message(message(value, error_c_px, error_u, &diagnostics));
-            tracing::debug!(step = state.step, colour = ?state.online.input.colour, "{}", bar.message());
+            let words = message(value, error_c_px, error_u, &diagnostics);
+            let numbers =
+                [("loss", f64::from(value)), ("error of z_c, px", error_c_px), ("error of z_u", error_u)];
+            shown.report(state.step, words, &numbers);
         }
     }
     Ok(state.target)

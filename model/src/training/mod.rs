@@ -1,6 +1,6 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `bounds`, `closed_form`, `learned`, `stages` and `predictors` need burn: the cargo feature `train`.
+//! All but `bounds`, `closed_form`, `learned`, `stages`, `predictors` and `show` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
@@ -22,3 +22,4 @@ pub mod losses;
 pub mod predictors;
 #[cfg(feature = "train")]
 pub mod recipe;
+pub mod show;

@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 
-use crpl_sitl::program::progress;
+use crpl_sitl::program::page::feed::Feed;
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
@@ -32,6 +32,7 @@ use crate::training::gradient::{self, GradientError};
 use crate::training::learned::device::EncoderDevice;
 use crate::training::learned::{self, LearnedError};
 use crate::training::predictors::{self, Trained};
+use crate::training::show::StageShow;
 use crate::world_model::card::{Card, FitCheck};
 use crate::world_model::checkpoint::{CARD, CheckpointError, FORMAT};
 use crate::world_model::config::{ConfigError, DataConfig, LearnedTraining, TrainConfig};
@@ -108,6 +109,8 @@ pub struct Run {
     pub resume: bool,
     /// Started with the run: the card says what training has cost.
     pub stopwatch: Stopwatch,
+    /// Where others watch, if they can.
+    pub feed: Option<Feed>,
 }
 
 impl Run {
@@ -167,7 +170,15 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
     let cameras = CameraSet::new(&config.cameras, &noise);
     let data = TrainData { episodes: &episodes, cameras: &cameras, scenario: &scenario };
     let planes = planes(&noise);
-    let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: true };
+    let context = TrainContext {
+        config,
+        data,
+        planes: &planes,
+        noise: &noise,
+        device: &device,
+        bars: true,
+        feed: run.feed.as_ref(),
+    };
 
     // The encoder, its predictors and its probe.
     let (encoder, check) = encoder(&context, &cache)?;
@@ -200,8 +211,12 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
     model.save(&dir)?;
     if alarms.is_empty() {
         // What the linear predictor is compared with.
-        let trained =
-            cache.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
+        let trained = cache.keep(
+            "networks",
+            predictors::load,
+            || networks(config, &model, run.feed.as_ref()),
+            predictors::save,
+        )?;
         predictors::publish(&trained, &dir)?;
     }
     let card = card_text(&model, &diagnostics, &alarms, revision, run.stopwatch);
@@ -214,16 +229,24 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
     Ok((model, diagnostics))
 }
 
-/// The MLP and the LSTM on the latents of `model`, with a progress bar.
+/// The MLP and the LSTM on the latents of `model`, with a progress bar; `feed` is where others watch.
 ///
 /// # Errors
 /// If the world model has no fingerprint.
-pub fn networks(config: &TrainConfig, model: &WorldModel) -> Result<Trained, TrainError> {
+pub fn networks(
+    config: &TrainConfig,
+    model: &WorldModel,
+    feed: Option<&Feed>,
+) -> Result<Trained, TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
-    let bar = progress::bar("networks", config.networks.steps() as u64);
+    let shown = StageShow::begin("networks", config.networks.steps(), feed);
     let (networks, steps) = (&config.networks, config.data.steps);
-    let trained = predictors::train(model, networks, steps, &scenario, &noise, || bar.inc(1))?;
-    bar.finish();
+    let trained = predictors::train(model, networks, steps, &scenario, &noise, || shown.add(1))?;
+    for (network, curve) in trained.networks.all.iter().zip(&trained.curves) {
+        let what = format!("{}, held out p90, px", network.kind().name());
+        curve.iter().for_each(|point| shown.curve(&what, point.step, point.held_out_px));
+    }
+    shown.finish();
     Ok(trained)
 }
 
@@ -243,7 +266,15 @@ pub fn without_heads(
     let (episodes, planes) = (collect(config, &scenario), planes(&noise));
     let cameras = CameraSet::new(&config.cameras, &noise);
     let data = TrainData { episodes: &episodes, cameras: &cameras, scenario: &scenario };
-    let context = TrainContext { config, data, planes: &planes, noise: &noise, device: &device, bars: false };
+    let context = TrainContext {
+        config,
+        data,
+        planes: &planes,
+        noise: &noise,
+        device: &device,
+        bars: false,
+        feed: None,
+    };
     let cache = StageCache::none();
     let picks = fitting::pick(&context);
     let mut weights = trunk(&context, &picks, &cache)?;
@@ -293,9 +324,9 @@ fn trunk(
         "gradient",
         cache::load_weights,
         || {
-            let bar = context.bar("gradient", stage.steps);
-            let trained = gradient::train(&weights, stage, context, cache.dir(), &bar)?;
-            bar.finish();
+            let shown = context.bar("gradient", stage.steps);
+            let trained = gradient::train(&weights, stage, context, cache.dir(), &shown)?;
+            shown.finish();
             Ok(gradient::calibrated(trained, &fitting::some_frames(context, picks)))
         },
         cache::save_weights,

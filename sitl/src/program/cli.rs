@@ -13,6 +13,7 @@ use crate::link::param_file::{self, Entry};
 use crate::link::signing::{Policy, Signing, Store};
 use crate::program::air::{self, AirGap};
 use crate::program::camera::CameraFlag;
+use crate::program::common::Examples;
 use crate::program::fleet;
 use crate::program::flight_log::FlightLog;
 use crate::program::shell::{Ended, LINKS, Shell};
@@ -35,6 +36,17 @@ pub enum Pace {
     /// The arrival of the setpoint for this interval
     Lockstep,
 }
+
+/// Examples below the help.
+pub const EXAMPLES: Examples = &[(
+    "sitl",
+    &[
+        "sitl --pace lockstep --ticks 100",
+        "sitl --scenario gusty --pace realtime --speed 5",
+        "sitl --connect udpout:127.0.0.1:14550 --open --on-ground",
+        "sitl --instances 4 --radio wifi",
+    ],
+)];
 
 /// A UAV simulator that speaks MAVLink 2 over UDP and TCP, renders its camera and models its radio link.
 ///

@@ -13,6 +13,26 @@ pub fn width() -> Option<usize> {
     terminal_size::terminal_size_of(stdout).map(|(width, _)| usize::from(width.0))
 }
 
+/// Lines of a table whose columns have these widths, folded where they are wider than `width`: the columns that do
+/// not fit follow below, behind the first one again.
+#[must_use]
+pub fn folded(lines: &str, columns: &[usize], width: Option<usize>) -> String {
+    let mut text = String::new();
+    let width = width.filter(|_| !lines.is_empty());
+    for (n, block) in blocks(columns, width).iter().enumerate() {
+        text.push_str(if n == 0 { "" } else { "\n" });
+        for line in lines.lines() {
+            let cells = block.iter().map(|n| {
+                let before: usize = columns[..*n].iter().sum();
+                line.chars().skip(before).take(columns[*n]).collect::<String>()
+            });
+            text.push_str(cells.collect::<String>().trim_end());
+            text.push('\n');
+        }
+    }
+    text
+}
+
 /// Head and rows, right-aligned, two blanks before each cell; folded where they are wider than `width`.
 #[must_use]
 pub fn table(head: &[String], rows: &[Vec<String>], width: Option<usize>) -> String {
@@ -69,5 +89,15 @@ mod tests {
         assert_eq!(folded.split("\n\n").count(), 3);
         assert!(folded.lines().all(|line| line.len() <= 16), "{folded}");
         assert_eq!(folded.matches("crpl").count(), 3);
+    }
+
+    #[test]
+    fn lines_are_cut_where_their_columns_end() {
+        let lines = "  x  who     d_f\n  1  crpl  0.004\n";
+        assert_eq!(folded(lines, &[5, 4, 7], None), lines);
+        assert_eq!(
+            folded(lines, &[5, 4, 7], Some(12)),
+            "  x  who\n  1  crpl\n\n  x      d_f\n  1    0.004\n"
+        );
     }
 }

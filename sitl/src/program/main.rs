@@ -3,5 +3,5 @@
 use crpl_sitl::program::{cli, terminal};
 
 fn main() -> std::process::ExitCode {
-    terminal::main(crpl_sitl::revision(), |args| terminal::block_on(cli::run(args)))
+    terminal::main(crpl_sitl::revision(), cli::EXAMPLES, |args| terminal::block_on(cli::run(args)))
 }

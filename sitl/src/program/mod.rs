@@ -13,6 +13,7 @@
 //! | [`flight_log`] | the folder of a flight as the vehicle knows it |
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`log`] | the log on stderr |
+//! | [`page`] | a page in the browser that shows what a program does |
 //! | [`progress`] | progress bars, and lines where there is no terminal |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
@@ -26,6 +27,7 @@ pub mod files;
 pub mod fleet;
 pub mod flight_log;
 pub mod log;
+pub mod page;
 pub mod progress;
 pub mod renamed;
 pub mod shell;

@@ -15,13 +15,14 @@ use anyhow::{Context, Result};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, Parser};
 
-use super::{common, renamed};
+use super::common::{self, Examples};
+use super::renamed;
 use crate::link::endpoint::Endpoint;
 
 /// A whole program: parses the flags, starts the log, does `work`, and tells an error. `revision` is that of
-/// the program, for `--version`.
-pub fn main<P: Parser>(revision: &str, work: impl FnOnce(P) -> Result<()>) -> ExitCode {
-    let program = common::with_common(P::command());
+/// the program, for `--version`; the examples stand below the help.
+pub fn main<P: Parser>(revision: &str, examples: Examples, work: impl FnOnce(P) -> Result<()>) -> ExitCode {
+    let program = common::with_common(P::command(), examples);
     let parsed = program.clone().try_get_matches().and_then(|matches| {
         let is_ours = matches!(matches.subcommand_name(), Some("completions" | "man"));
         // Completions and manual pages need none of the program's own flags.

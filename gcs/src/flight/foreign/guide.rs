@@ -30,11 +30,12 @@ use crpl_sitl::link::dialect::{
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::service::{RequestDataStream, Timesync};
-use crpl_sitl::link::messages::telemetry::LocalPositionNed;
+use crpl_sitl::link::messages::telemetry::{GlobalPositionInt, LocalPositionNed};
 use crpl_sitl::link::messages::{Target, View};
 use crpl_sitl::link::packet::Packet;
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO};
 use crpl_sitl::radio::message::{Command, Percept};
+use crpl_sitl::vehicle::geodesy::{Home, Site};
 
 use super::Foreign;
 use super::field::WhenOver;
@@ -131,6 +132,8 @@ pub enum GuideEvent {
     Say(String),
     /// From now on this program alone sends setpoints to this system.
     TakeControl(u8),
+    /// Latitude and longitude of the field's (0, 0), degrees.
+    Located([f64; 2]),
     /// A control interval begins: [`Guide::fly`] wants a command.
     Percept(Percept),
     /// The last interval has ended; no command is wanted.
@@ -187,6 +190,8 @@ pub struct Guide {
     commands: CommandQueue,
     system: Option<u8>,
     place: Option<ReportedPlace>,
+    /// Where the local frame lies on Earth.
+    site: Option<Site>,
     boot: BootTime,
     /// Where it stood before it climbed.
     ground: [f32; 3],
@@ -243,6 +248,7 @@ impl Guide {
             commands: CommandQueue::default(),
             system: foreign.system,
             place: None,
+            site: None,
             boot: BootTime::default(),
             ground: [0.0; 3],
             scene: None,
@@ -310,6 +316,9 @@ impl Guide {
             if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
                 self.place = Some(place);
             }
+        } else if let Some(told) = GlobalPositionInt::of(packet).filter(|_| packet.component == AUTOPILOT) {
+            self.site =
+                self.place.and_then(|place| site(&told, self.foreign.field.to_ned(horizontal(&place))));
         } else if let Some((severity, text)) = self.texts.packet(packet) {
             if severity <= MavSeverity::MAV_SEVERITY_WARNING as u8 {
                 self.complaint.clone_from(&text);
@@ -680,8 +689,11 @@ impl Guide {
         let slow = place.velocity.iter().all(|v| f64::from(v.abs()) < SLOW_MPS);
         if near && slow {
             self.enter(GuidePhase::Flying, now);
-            self.scene =
-                Some(ForeignScene::new(self.scenario.clone(), [place.position[0], place.position[1]]));
+            let scene = ForeignScene::new(self.scenario.clone(), horizontal(place));
+            let origin = self.foreign.field.to_ned(scene.origin());
+            let earth = self.site.map(|site| site.latitude_longitude(origin).map(|e7| f64::from(e7) * 1e-7));
+            self.events.extend(earth.map(GuideEvent::Located));
+            self.scene = Some(scene);
             self.next_tick = place.boot;
             self.say("at its height: CRPL flies".into());
             self.tick(place, now);
@@ -874,6 +886,18 @@ impl Texts {
         self.open = Some((message.id, severity, text));
         None
     }
+}
+
+/// Up and right in the field.
+fn horizontal(place: &ReportedPlace) -> [f32; 2] {
+    [place.position[0], place.position[1]]
+}
+
+/// Where the local frame lies of a vehicle that is there in it, north and east, m; `None` without a place on Earth.
+fn site(told: &GlobalPositionInt, there: [f32; 2]) -> Option<Site> {
+    let [latitude, longitude] = told.place.map(|e7| f64::from(e7) * 1e-7);
+    let home = Home { latitude, longitude, altitude_m: 0.0, heading: 0.0 };
+    (told.place != [0, 0]).then(|| Site::with_home(&home, there))
 }
 
 /// A command as people call it.

@@ -35,6 +35,7 @@ use crate::tools::bridge::hub::Hub;
 use crate::tools::bridge::router::Notice;
 use crate::tools::bridge::tell;
 use crate::tools::identity::Identity;
+use crate::watch::map::FieldPlace;
 use field::{FieldFrame, WhenOver};
 use guide::{ForeignStack, Guide, GuideEvent};
 
@@ -130,9 +131,17 @@ pub async fn fly<C: Crew + Send + 'static>(
 
 /// A crew on a thread of its own: a slow decision holds up neither setpoints nor heartbeats.
 struct ControllerThread<C> {
-    ask: std::sync::mpsc::Sender<Percept>,
+    ask: std::sync::mpsc::Sender<Question>,
     answers: mpsc::UnboundedReceiver<Result<Decision>>,
     thread: JoinHandle<C>,
+}
+
+/// What a crew is told and asked.
+enum Question {
+    /// How the field lies.
+    Located(FieldPlace),
+    /// Which command is the answer?
+    Percept(Percept),
 }
 
 /// A command, and the tlog if this is the first.
@@ -143,12 +152,22 @@ struct Decision {
 
 impl<C: Crew + Send + 'static> ControllerThread<C> {
     fn seat(mut crew: C) -> Self {
-        let (ask, asked) = std::sync::mpsc::channel::<Percept>();
+        let (ask, asked) = std::sync::mpsc::channel::<Question>();
         let (answer, answers) = mpsc::unbounded_channel();
         let thread = std::thread::spawn(move || {
-            let mut first = true;
-            for percept in asked {
+            let (mut first, mut located) = (true, None);
+            for question in asked {
+                let percept = match question {
+                    Question::Located(place) => {
+                        located = Some(place);
+                        continue;
+                    }
+                    Question::Percept(percept) => percept,
+                };
                 let tlog = if std::mem::take(&mut first) { crew.begin() } else { Ok(None) };
+                if let Some(place) = located.take() {
+                    crew.located(place);
+                }
                 let decision = tlog.map(|tlog| Decision { command: crew.command(&percept), tlog });
                 if answer.send(decision).is_err() {
                     break;
@@ -198,9 +217,14 @@ async fn fly_with<C>(
                     arrived = Instant::now();
                     flight.wall = arrived - *begun.get_or_insert(arrived);
                     flight.last = Some(percept.clone());
-                    if bench.ask.send(percept).is_err() {
+                    if bench.ask.send(Question::Percept(percept)).is_err() {
                         guide.controller_failed(start.elapsed());
                     }
+                }
+                GuideEvent::Located(origin) => {
+                    let place = FieldPlace { origin, heading: foreign.field.degrees };
+                    // A crew that is gone is missed at the next percept.
+                    let _ = bench.ask.send(Question::Located(place));
                 }
                 GuideEvent::Over(percept) => flight.last = Some(percept),
                 GuideEvent::Holding => {

@@ -27,6 +27,12 @@ impl ForeignScene {
         Self { sim, origin: [position[0] - start[0], position[1] - start[1]] }
     }
 
+    /// The paper's (0, 0) in the vehicle's local frame: north, east, m.
+    #[must_use]
+    pub fn origin(&self) -> [f32; 2] {
+        self.origin
+    }
+
     /// The tick that begins now.
     #[must_use]
     pub fn tick(&self) -> Tick {

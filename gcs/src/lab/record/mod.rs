@@ -2,6 +2,7 @@
 
 pub mod folder;
 pub mod recorder;
+pub mod show;
 
 use std::path::PathBuf;
 
@@ -19,6 +20,7 @@ use crate::lab::record::folder::{MANIFEST, RecordingFolder};
 use crate::lab::record::recorder::{Recorder, RecordingPlan};
 use crate::lab::run_folder;
 use crate::lab::summary::FlightEnded;
+use crate::watch::WatchFlags;
 
 /// Flags of `gcs record`.
 #[derive(Debug, clap::Args)]
@@ -59,6 +61,8 @@ pub struct RecordFlags {
     /// Replace the recording that is in this folder
     #[arg(long)]
     overwrite: bool,
+    #[command(flatten)]
+    watch: WatchFlags,
 }
 
 /// `run.json`: how the last flight of a recording was made.
@@ -91,7 +95,11 @@ pub async fn run(args: RecordFlags) -> Result<()> {
     let (session, scenario) = met;
     let pictures = args.pictures as usize;
     let plan = RecordingPlan { episodes, pictures, seed: args.seed, format: args.format };
+    let page = args.watch.open()?;
     let mut recorder = Recorder::new(&scenario, plan, folder);
+    if let Some(page) = &page {
+        recorder = recorder.shown_on(page.feed());
+    }
     let flight = flight::fly_on(session, &scenario, &options, &mut recorder).await?;
     let (count, failed) = recorder.land();
     let manifest = RecordingManifest {
@@ -107,5 +115,10 @@ pub async fn run(args: RecordFlags) -> Result<()> {
     let text = serde_json::to_string_pretty(&manifest)? + "\n";
     write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
     println!("{count} episodes in {}", out.display());
-    exit_of(&flight, failed).map_or(Ok(()), |exit| Err(exit.into()))
+    let exit = exit_of(&flight, failed);
+    if let Some(page) = page {
+        let reason = exit.as_ref().map_or("over", |exit| &exit.why);
+        page.close(reason, serde_json::json!({ "episodes": count })).await;
+    }
+    exit.map_or(Ok(()), |exit| Err(exit.into()))
 }

@@ -18,7 +18,10 @@ use nalgebra::Vector2;
 use rand::{Rng, RngExt};
 
 use crate::flight::Crew;
+use crate::lab::crew::level;
 use crate::lab::record::folder::RecordingFolder;
+use crate::lab::record::show::RecordingShow;
+use crate::watch::feed::Feed;
 
 /// Fewest pictures of an episode that a gap has cut: three at the shortest of the long lags of the training's recipe.
 const SHORTEST: usize = 21;
@@ -50,6 +53,9 @@ pub struct Recorder {
     /// Whole episodes that are not on the disk yet.
     whole: Vec<Recorded>,
     failed: Option<String>,
+    /// Tells who watches, if anybody can.
+    show: Option<RecordingShow>,
+    decided: Option<(Percept, Command)>,
 }
 
 /// An episode and what only evaluation may know of it.
@@ -91,7 +97,18 @@ impl Recorder {
             has_flown: false,
             whole: Vec::new(),
             failed: None,
+            show: None,
+            decided: None,
         }
+    }
+
+    /// The same, told to who watches `feed`.
+    #[must_use]
+    pub fn shown_on(mut self, feed: &Feed) -> Self {
+        let show = RecordingShow::begin(feed, &self.scenario, self.plan.seed);
+        show.counted(self.folder.next(), self.plan.episodes);
+        self.show = Some(show);
+        self
     }
 
     /// The flight is over: writes what is left. Gives the number of episodes in the folder, and what could not be
@@ -101,6 +118,9 @@ impl Recorder {
             self.close();
         }
         self.sent();
+        if let Some(show) = self.show.take() {
+            show.end();
+        }
         (self.folder.next(), self.failed.clone())
     }
 
@@ -181,6 +201,10 @@ impl Recorder {
             whole.save(&self.plan, dir, index).with_context(|| format!("episode {index}"))?;
             tracing::info!("episode {index}: {} pictures", whole.episode.frames.len());
             self.folder.count();
+            if let Some(show) = &self.show {
+                show.counted(self.folder.next(), self.plan.episodes);
+                show.log("info", &format!("episode {index}: {} pictures", whole.episode.frames.len()));
+            }
         }
         Ok(())
     }
@@ -201,7 +225,9 @@ impl Crew for Recorder {
         if self.open.episode.frames.len() == self.plan.pictures {
             self.close();
         }
-        Command::new(now.tick, accel, self.power(index))
+        let command = Command::new(now.tick, accel, self.power(index));
+        self.decided = self.show.is_some().then(|| (percept.clone(), command));
+        command
     }
 
     fn begin(&mut self) -> Result<Option<PathBuf>> {
@@ -210,11 +236,26 @@ impl Crew for Recorder {
     }
 
     fn sent(&mut self) {
+        if let (Some(show), Some((percept, command))) = (&mut self.show, self.decided.take()) {
+            show.saw(&percept, command);
+        }
         if self.failed.is_none()
             && let Err(error) = self.write()
         {
             tracing::error!("{error:#}");
             self.failed = Some(format!("{error:#}"));
+        }
+    }
+
+    fn heard(&mut self, severity: u8, text: &str) {
+        if let Some(show) = &self.show {
+            show.log(level(severity), &format!("vehicle: {text}"));
+        }
+    }
+
+    fn link(&mut self, counters: &serde_json::Value) {
+        if let Some(show) = &self.show {
+            show.link(counters);
         }
     }
 

@@ -48,6 +48,10 @@ pub const UNDECIDED: &str = "* the interval contains no difference, too: more fl
 /// Columns of a line before the quantity, and of a whole line.
 const BEFORE: usize = 78;
 const WIDTH: usize = 120;
+/// Least room for what is measured beside the numbers.
+const NARROW: usize = 24;
+/// Its indent below them.
+const BELOW: usize = 4;
 
 impl VerdictRow {
     /// A claim that a sweep decides, measured or not.
@@ -132,11 +136,20 @@ impl VerdictRow {
         }
     }
 
-    fn line(&self) -> String {
+    /// The row in lines of at most `width` characters: what is measured stands behind, or below where that leaves
+    /// little room.
+    fn line(&self, width: usize) -> String {
         let (verdict, ours) = (self.verdict_cell(), self.ours_cell());
         let start = format!("{verdict:<24}  {:>12}  {ours:>26}  {:<8}", self.paper, self.section);
         let mut out = String::new();
-        for (n, part) in wrapped(&self.quantity, WIDTH - BEFORE).iter().enumerate() {
+        if width < BEFORE + NARROW {
+            let _ = writeln!(out, "{}", start.trim_end());
+            for part in wrapped(&self.quantity, width.saturating_sub(BELOW)) {
+                let _ = writeln!(out, "{:BELOW$}{part}", "");
+            }
+            return out;
+        }
+        for (n, part) in wrapped(&self.quantity, width - BEFORE).iter().enumerate() {
             let start = if n == 0 { start.as_str() } else { "" };
             let _ = writeln!(out, "{start:<BEFORE$}{part}");
         }
@@ -159,18 +172,23 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// The rows as a table for a terminal, and how often each verdict is in it.
+/// The rows as a table for a terminal of that width, and how often each verdict is in it.
 #[must_use]
-pub fn text(rows: &[VerdictRow]) -> String {
+pub fn text(rows: &[VerdictRow], width: Option<usize>) -> String {
+    let fitted = |line: &str| width.map_or_else(|| line.into(), |width| wrapped(line, width).join("\n"));
+    let width = width.map_or(WIDTH, |width| width.min(WIDTH));
     let mut out = format!(
         "{:<24}  {:>12}  {:>26}  {:<8}  {}\n",
         "verdict", "paper", "ours [95 %]", "section", "quantity"
     );
-    rows.iter().for_each(|row| out += &row.line());
-    if rows.iter().any(|row| row.verdict_cell().ends_with('*')) {
-        let _ = writeln!(out, "{UNDECIDED}");
+    if width < BEFORE + NARROW {
+        out = format!("{}\n{:BELOW$}quantity\n", out.replace("quantity", "").trim_end(), "");
     }
-    let _ = writeln!(out, "{}", counts(rows));
+    rows.iter().for_each(|row| out += &row.line(width));
+    if rows.iter().any(|row| row.verdict_cell().ends_with('*')) {
+        let _ = writeln!(out, "{}", fitted(UNDECIDED));
+    }
+    let _ = writeln!(out, "{}", fitted(&counts(rows)));
     out
 }
 
@@ -226,12 +244,16 @@ mod tests {
     }
 
     #[test]
-    fn no_line_is_wider_than_120_columns_and_no_word_is_lost() {
+    fn no_line_is_wider_than_the_terminal_and_no_word_is_lost() {
         let rows = rows(Mean { mean: -10.25, ci: [-12.0, 10.5], sd: 0.0 });
-        let text = text(&rows);
-        assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
-        for row in &rows {
-            assert!(row.quantity.split(' ').all(|word| text.contains(word)), "{row:?}");
+        for width in [None, Some(80), Some(105), Some(200)] {
+            let text = text(&rows, width);
+            let most = width.unwrap_or(WIDTH).min(WIDTH);
+            let rows_alone = text.lines().filter(|line| width.is_some() || !line.contains(" claims: "));
+            assert!(rows_alone.into_iter().all(|line| line.chars().count() <= most), "{text}");
+            for row in &rows {
+                assert!(row.quantity.split(' ').all(|word| text.contains(word)), "{row:?}");
+            }
         }
     }
 
@@ -248,6 +270,8 @@ mod tests {
     fn a_claim_that_was_not_flown_is_said_to_be_so() {
         let (claim, quantity) = of_sweep("bandwidth").next().unwrap();
         let rows = [VerdictRow::of_sweep("bandwidth", &claim, quantity, None)];
-        assert!(text(&rows).contains("not flown") && counts(&rows).ends_with("contradicts 0; not flown 1"));
+        assert!(
+            text(&rows, None).contains("not flown") && counts(&rows).ends_with("contradicts 0; not flown 1")
+        );
     }
 }

@@ -241,7 +241,7 @@ impl Flown {
     #[must_use]
     pub fn text(&self, verdicts: &[VerdictRow]) -> String {
         let mut text = format!("Scenario {}, no gusts, no packet loss\n", self.number);
-        text += &rows::text(verdicts);
+        text += &rows::text(verdicts, layout::width());
         text + &layout::table(&head(), &self.rows(), layout::width())
     }
 

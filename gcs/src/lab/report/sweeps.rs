@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use crpl_model::evaluation::chart::{self, Chart, Series, Sheet, Style};
+use crpl_sitl::program::columns;
 use crpl_sitl::sim::metric::Metric;
 
 use super::claims::{self, Claim};
@@ -131,7 +132,7 @@ impl Finished {
     #[must_use]
     pub fn text(&self, verdicts: &[VerdictRow]) -> String {
         let SweepPlan { name, axis, .. } = &self.folder.plan;
-        format!("Sweep {name} over {axis}\n{}", rows::text(verdicts))
+        format!("Sweep {name} over {axis}\n{}", rows::text(verdicts, columns::width()))
     }
 
     /// Adds a section, and leaves figures and tables in `dir`.
@@ -162,7 +163,7 @@ impl Finished {
         page.folded("The resolved sweep", &toml::to_string(plan)?);
         chart::save(Sheet { charts: &panels, columns: 3 }, dir, &plan.name)?;
         super::write(dir, &format!("{}.csv", plan.name), &table::csv(plan, &self.rows))?;
-        super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows))
+        super::write(dir, &format!("{}.txt", plan.name), &table::text(plan, &self.rows, None))
     }
 
     fn tables(&self, page: &mut Page) {

@@ -29,8 +29,8 @@ use anyhow::{Context, Result};
 use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
-use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{self, Signal, StopSignal};
+use crpl_sitl::program::{columns, progress};
 use rayon::prelude::*;
 
 use crate::lab::{Contender, policies};
@@ -107,7 +107,8 @@ pub fn run(args: &Sweep) -> Result<()> {
     let page = args.watch.open()?;
     if let Some(page) = &page {
         let scenario = serde_json::to_value(&folder.plan.scenario).ok();
-        page.feed().send(&WatchEvent::computation("gcs sweep", &folder.plan.name, scenario));
+        let hello = WatchEvent::computation("gcs sweep", crate::revision(), &folder.plan.name, scenario);
+        page.feed().send(&hello);
     }
     let episodes = complete_shown(&folder, &models, page.as_ref().map(WatchPage::feed))?;
     show(&folder, &episodes, args.json)?;
@@ -266,7 +267,7 @@ pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()
             crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         }
     } else {
-        crpl_sitl::out!("{}", table::text(&folder.plan, &rows));
+        crpl_sitl::out!("{}", table::text(&folder.plan, &rows, columns::width()));
         crpl_sitl::outln!(
             "\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
             folder.dir().display()

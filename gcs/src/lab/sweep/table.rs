@@ -3,6 +3,7 @@
 
 use std::fmt::Write;
 
+use crpl_sitl::program::columns;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
@@ -166,9 +167,19 @@ pub fn ratio_cell(ratio: &Mean) -> String {
     format!("{:.2} [{:.2}, {:.2}]", ratio.mean, ratio.ci[0], ratio.ci[1])
 }
 
+/// Width of the columns of the axis and the controller.
+const KEY: usize = 28;
+
+/// Width of the columns of the outcomes.
+const OUTCOMES: [usize; SHOWN.len()] = [10, 8];
+
+/// Width of a column of ratios.
+const RATIO: usize = 22;
+
 /// The rows as two tables for people: means with their 95 % interval and counts of outcomes; ratios to CRPL with their 95 % interval.
+/// Lines are no wider than `width`.
 #[must_use]
-pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
+pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String {
     let mut out = format!(
         "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval],\n= all: the same in every flight; reached and below: of all flights\n",
         plan.name,
@@ -187,30 +198,38 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         let _ = writeln!(out, "{tail}");
     };
     let [reached, below] = SHOWN.map(FlightOutcome::key);
-    head(&mut out, &mut Metric::ALL.into_iter(), mean_width, &format!("{reached:>10}{below:>8}"));
+    let [wide, narrow] = OUTCOMES;
+    let mut table = String::new();
+    let tail = format!("{reached:>wide$}{below:>narrow$}");
+    head(&mut table, &mut Metric::ALL.into_iter(), mean_width, &tail);
     for row in rows {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
+        let _ = write!(table, "{:>8}  {:<18}", row.x, row.controller.label());
         for (m, mean) in row.means.iter() {
-            let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
+            let _ = write!(table, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
         let [reached, below] = SHOWN.map(|outcome| (row.share(outcome) * row.episodes as f64).round());
-        let _ = writeln!(out, "{reached:>10}{below:>8}");
+        let _ = writeln!(table, "{reached:>wide$}{below:>narrow$}");
     }
+    let columns: Vec<usize> =
+        std::iter::once(KEY).chain(Metric::ALL.map(mean_width)).chain(OUTCOMES).collect();
+    out += &columns::folded(&table, &columns, width);
+    table.clear();
     let others = || rows.iter().filter(|r| r.controller != Controller::Crpl && r.ratio_to_crpl.is_some());
     if others().next().is_some() {
         out.push_str(
             "\nratio to crpl on the same seeds [95 % bootstrap interval]; T_out over at least one interval\n",
         );
-        head(&mut out, &mut Metric::compared(), |_| 22, "");
+        head(&mut table, &mut Metric::compared(), |_| RATIO, "");
     }
     for row in others() {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
+        let _ = write!(table, "{:>8}  {:<18}", row.x, row.controller.label());
         for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
-            let _ = write!(out, "{:>22}", ratio_cell(&ratio));
+            let _ = write!(table, "{:>RATIO$}", ratio_cell(&ratio));
         }
-        out.push('\n');
+        table.push('\n');
     }
-    out + &uncovered(plan)
+    let columns: Vec<usize> = std::iter::once(KEY).chain(Metric::compared().map(|_| RATIO)).collect();
+    out + &columns::folded(&table, &columns, width) + &uncovered(plan)
 }
 
 /// A line for each point at which the crpl controllers fly policies of another world.

@@ -33,6 +33,7 @@ use crate::tools::spotter::Spotter;
 use crate::tools::steering::PageSteering;
 use crate::watch::SteerFlags;
 use crate::watch::control::{RequestQueue, VehicleRequest};
+use crate::watch::map::MapFlags;
 use hub::{Hub, LinkSide};
 use router::{COPY_WITHIN, Notice};
 use spec::EndpointSpec;
@@ -63,6 +64,8 @@ pub struct Bridge {
     tlog: Option<PathBuf>,
     #[command(flatten)]
     watch: SteerFlags,
+    #[command(flatten)]
+    map: MapFlags,
     /// Print the counters every SECONDS; 0: only at the end
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     every: u64,
@@ -96,12 +99,13 @@ pub async fn run(args: Bridge) -> Result<()> {
         say(&format!("metrics: http://{address}/metrics"));
         scrapes = Some(requests);
     }
+    let buildings = args.map.load()?;
     let (page, requests) = args.watch.open()?;
     let mut watched = page.as_ref().map(|page| {
         // A link of its own hears what all hear.
         hub.local();
         Watched {
-            spotter: Spotter::new(page.feed().clone(), "gcs bridge", requests.is_some()),
+            spotter: Spotter::new(page.feed().clone(), "gcs bridge", requests.is_some(), buildings),
             steering: PageSteering::new(requests.as_ref().and_then(RequestQueue::take)),
         }
     });

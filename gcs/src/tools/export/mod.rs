@@ -23,9 +23,6 @@ use track::FlightTrack;
 
 /// Flags of `gcs export`.
 #[derive(Debug, Clone, clap::Args)]
-#[command(
-    after_help = "Examples:\n  gcs export runs/demo/crpl --to mcap\n  gcs export flight.tlog --to gpx --out flight.gpx"
-)]
 pub struct ExportArgs {
     /// Run folder, or a tlog of any vehicle, or a record.jsonl
     #[arg(value_name = "RUN")]
@@ -54,7 +51,7 @@ pub enum ExportFormat {
     Geojson,
     /// Positions and records for Foxglove and Rerun
     Mcap,
-    /// Refused: Rerun opens the mcap file
+    /// Refused: Rerun's crate needs some 500 others to build; Rerun opens the mcap file
     Rrd,
 }
 

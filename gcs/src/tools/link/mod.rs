@@ -14,6 +14,7 @@
 //! | [`place`] | where the vehicle is | radios |
 //! | [`ledger`] | one row a frame, as Parquet | sockets |
 //! | [`summary`] | tables, words and Prometheus | sockets |
+//! | [`show`] | the vehicle and the link on a page | sockets, clocks |
 //! | [`exchange`] | how long parameters and missions took | sockets |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it has sockets and timers")]
@@ -22,6 +23,7 @@ pub mod carrier;
 pub mod exchange;
 pub mod ledger;
 pub mod place;
+pub mod show;
 pub mod summary;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,13 +45,16 @@ use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::radio::air::config::file::table;
 use crpl_sitl::radio::air::track::GeometryTrack;
 use crpl_sitl::radio::air::{Air, AirRadio, Way};
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, interval, sleep_until};
 
 use crate::tools::bridge::metrics;
 use crate::tools::replay;
+use crate::watch::WatchFlags;
+use crate::watch::map::MapFlags;
 use carrier::{Carrier, LinkClock, Tells};
 use ledger::FrameLedger;
 use place::{Base, Whereabouts};
+use show::LinkShow;
 
 /// Flags of `gcs link`.
 #[derive(Debug, Clone, clap::Args)]
@@ -107,6 +112,10 @@ pub struct RadioLink {
     /// Serve the counters to Prometheus at http://ADDR/metrics
     #[arg(long, value_name = "ADDR")]
     metrics: Option<SocketAddr>,
+    #[command(flatten)]
+    watch: WatchFlags,
+    #[command(flatten)]
+    map: MapFlags,
 }
 
 /// Datagrams and parts of streams that are read before what they bring is sent.
@@ -122,6 +131,9 @@ pub(crate) const LINKS: LinkOptions = LinkOptions {
 /// Until it has told its place, a vehicle is taken to be so far north of the station, m: then it can be asked for it.
 const BESIDE_M: f64 = 10.0;
 
+/// How often who watches is told what was carried.
+const COUNTED: Duration = Duration::from_secs(1);
+
 /// The vehicle's endpoint is the first.
 const VEHICLE: usize = 0;
 
@@ -130,20 +142,29 @@ const VEHICLE: usize = 0;
 /// # Errors
 /// A radio, file or endpoint that cannot be opened.
 pub async fn run(args: RadioLink) -> Result<()> {
-    let carrier = open(&args)?;
+    let (carrier, station) = open(&args)?;
     let notes = [("radio", args.radio.as_str()), ("seed", &args.seed.to_string())];
     let ledger = args.ledger.as_deref().map(|path| FrameLedger::create(path, &notes)).transpose()?;
     let links = Links::new(LINKS);
-    let mut shell = LinkShell { carrier, ledger, ledger_error: None, links, peers: BTreeMap::new() };
+    let buildings = args.map.load()?;
+    let page = args.watch.open()?;
+    let show = page.as_ref().map(|page| LinkShow::new(page.feed(), station, buildings));
+    let mut shell = LinkShell { carrier, ledger, ledger_error: None, links, peers: BTreeMap::new(), show };
     match &args.traffic {
         Some(path) => shell.carry_log(path)?,
         None => shell.serve(&args).await?,
     }
-    shell.end(&args).await
+    let summary = shell.carrier.summary().by_name();
+    let ended = shell.end(&args).await;
+    if let Some(mut page) = page {
+        page.hurry();
+        page.close("over", summary).await;
+    }
+    ended
 }
 
-/// The radio of the flags.
-fn open(args: &RadioLink) -> Result<Carrier> {
+/// The radio of the flags, and north and east of its station, m.
+fn open(args: &RadioLink) -> Result<(Carrier, [f64; 2])> {
     let radio = AirRadio::named(&args.radio)?;
     let mut air = Air::new(radio, args.seed, args.number)?;
     if let Some(base) = args.base {
@@ -154,6 +175,7 @@ fn open(args: &RadioLink) -> Result<Carrier> {
         .as_deref()
         .map(|path| GeometryTrack::load(path).with_context(|| format!("reading {}", path.display())));
     let [north, east] = air.radio().ground.place;
+    let station = args.base.map_or([north, east], |base| [base.place()[0], base.place()[1]]);
     let start = [north + BESIDE_M, east, -args.base.map_or(0.0, |base| base.place()[2])];
     let whereabouts = Whereabouts::new(args.base, args.sysid, start, replay.transpose()?);
     // A log has its own radio's reports in it.
@@ -161,7 +183,8 @@ fn open(args: &RadioLink) -> Result<Carrier> {
         status: !args.quiet && args.traffic.is_none(),
         node: args.node_status && args.traffic.is_none(),
     };
-    Ok(Carrier::new(air, whereabouts, args.clock, tells, Duration::from_secs_f64(args.late)))
+    let late = Duration::from_secs_f64(args.late);
+    Ok((Carrier::new(air, whereabouts, args.clock, tells, late), station))
 }
 
 /// Who stands at the other end of a socket.
@@ -179,6 +202,8 @@ struct LinkShell {
     ledger_error: Option<anyhow::Error>,
     links: Links,
     peers: BTreeMap<PeerId, LinkPeer>,
+    /// Tells who watches, if anybody can.
+    show: Option<LinkShow>,
 }
 
 impl LinkShell {
@@ -201,11 +226,17 @@ impl LinkShell {
         let (start, cost) = (Instant::now(), Stopwatch::default());
         let mut buffer = vec![0; BUFFER];
         let mut interrupted = std::pin::pin!(interrupted());
+        let mut second = interval(COUNTED);
         loop {
             let next = self.carrier.next_event().map(|after| start + after);
             tokio::select! {
                 first = self.links.receive(&mut buffer) => self.burst(first, &mut buffer, start),
                 () = until(next) => self.carrier.advance(start.elapsed()),
+                _ = second.tick(), if self.show.is_some() => {
+                    if let Some(show) = &mut self.show {
+                        show.count(&self.carrier);
+                    }
+                }
                 Some(reply) = scrape(&mut scrapes) => {
                     let reports = self.carrier.reports();
                     // A client that has gone away wants no answer.
@@ -253,8 +284,12 @@ impl LinkShell {
 
     /// Sends what has arrived to everybody on its side.
     async fn flush(&mut self) {
-        let Self { carrier, links, peers, .. } = self;
+        let Self { carrier, links, peers, show, .. } = self;
+        let now = carrier.now();
         carrier.flush(|way, datagram| {
+            if let Some(show) = show.as_mut().filter(|_| way == Way::Down) {
+                show.arrived(datagram, now);
+            }
             for peer in peers.keys().filter(|peer| (peer.endpoint == VEHICLE) == (way == Way::Up)) {
                 if let Err(error) = links.send(*peer, datagram) {
                     tracing::debug!(%peer, "sending: {error}");
@@ -268,7 +303,13 @@ impl LinkShell {
 
     /// Writes and tells what is settled.
     fn note(&mut self) {
-        self.carrier.words().iter().for_each(|line| say(line));
+        let now = self.carrier.now();
+        for line in self.carrier.words() {
+            say(&line);
+            if let Some(show) = &self.show {
+                show.log(&line, now);
+            }
+        }
         let mut settled = self.carrier.settled();
         let Some(ledger) = &mut self.ledger else { return };
         if let Err(error) = settled.try_for_each(|frame| ledger.push(&frame)) {
@@ -277,6 +318,17 @@ impl LinkShell {
             drop(settled);
             self.ledger = None;
         }
+    }
+
+    /// Lets arrive what has come through; nobody but the page is there.
+    fn flush_to_page(&mut self) {
+        let Self { carrier, show, .. } = self;
+        let now = carrier.now();
+        carrier.flush(|way, datagram| {
+            if let Some(show) = show.as_mut().filter(|_| way == Way::Down) {
+                show.arrived(datagram, now);
+            }
+        });
     }
 
     /// Carries the frames of a log, as fast as it goes.
@@ -291,10 +343,11 @@ impl LinkShell {
             Splitter::default().split(frame, |frame| system = frame.system);
             let way = if vehicles.contains(&system) { Way::Down } else { Way::Up };
             self.carrier.receive(way, &mut splitters[way as usize], frame, *time);
-            self.carrier.flush(|_, _| {});
+            self.flush_to_page();
             self.note();
         }
         self.carrier.run_down();
+        self.flush_to_page();
         self.note();
         Ok(())
     }

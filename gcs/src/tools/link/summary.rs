@@ -11,6 +11,8 @@ use crpl_sitl::link::packet::Packet;
 use crpl_sitl::program::timing::Histogram;
 use crpl_sitl::radio::air::{AirReport, CarriedFrame, FrameFate, Way};
 
+use serde_json::Value;
+
 use super::ledger::name_of;
 use crate::tools::bridge::counters::export;
 
@@ -85,9 +87,7 @@ impl LinkSummary {
         );
         for way in Way::BOTH {
             let rows = || self.kinds.range((way, 0)..=(way, u32::MAX));
-            let mut all = KindRow::default();
-            rows().for_each(|(_, row)| all.merge(row));
-            line(&mut text, way.name(), &all, lasted);
+            line(&mut text, way.name(), &self.all(way), lasted);
             for ((_, id), row) in rows().filter(|_| kinds) {
                 let name = match name_of(*id) {
                     "unknown" => format!("  {id}"),
@@ -97,6 +97,24 @@ impl LinkSummary {
             }
         }
         text
+    }
+
+    /// What was offered and lost on each way, by name.
+    #[must_use]
+    pub fn by_name(&self) -> Value {
+        let counts = Way::BOTH.into_iter().flat_map(|way| {
+            let all = self.all(way);
+            let counts = [("sent", all.sent), ("lost", all.lost()), ("bytes", all.bytes)];
+            counts.map(|(what, count)| (format!("{} {what}", way.name()), count.into()))
+        });
+        Value::Object(counts.collect())
+    }
+
+    /// All kinds of one way together.
+    fn all(&self, way: Way) -> KindRow {
+        let mut all = KindRow::default();
+        self.kinds.range((way, 0)..=(way, u32::MAX)).for_each(|(_, row)| all.merge(row));
+        all
     }
 
     /// In Prometheus' text format, version 0.0.4; `reports` are those of the ways up and down.

@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use crpl_sitl::program::progress;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::Noise;
 use serde::{Deserialize, Serialize};
@@ -14,6 +13,7 @@ use crate::evaluation::hard;
 use crate::numeric::tensors::{TensorError, write_all};
 use crate::training::learned::{self, LearnedError, recipe};
 use crate::training::recipe::TrainError;
+use crate::training::show::StageShow;
 use crate::world_model::WorldModel;
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use crate::world_model::learned::{LearnedConfig, LossWeights};
@@ -138,9 +138,9 @@ impl LearnedAblation {
         let noise = Noise::new(base.seed);
         let progress = dir.join(self.key);
         std::fs::create_dir_all(&progress).map_err(TensorError::file(&progress))?;
-        let bar = progress::bar("encoder", config.steps as u64);
-        let trained = learned::train(recording, &config, None, &noise, Some(&progress), &bar);
-        bar.finish();
+        let shown = StageShow::begin("encoder", config.steps, None);
+        let trained = learned::train(recording, &config, None, &noise, Some(&progress), &shown);
+        shown.finish();
         let row = match trained {
             Ok(weights) => LearnedAblationRow {
                 change: self.name.into(),
@@ -196,7 +196,7 @@ pub fn recording(
     let place = match data {
         Some(data) => data,
         None => {
-            recipe::record(config, part, &Scenario::default(), &own)?;
+            recipe::record(config, part, &Scenario::default(), &own, None)?;
             &own
         }
     };

@@ -4,10 +4,10 @@
 //! policies that were made in the world model's plane fly with the adapted one.
 
 use crpl_sitl::world::noise::Noise;
-use indicatif::ProgressBar;
 
 use crate::encoder::votes::VoteEncoder;
 use crate::training::learned::{self, LearnedConfig, LearnedError, readings};
+use crate::training::show::StageShow;
 use crate::world_model::WorldModel;
 use crate::world_model::recording::Recording;
 use crate::world_model::sight::{FrameEncoder, LearnedSight};
@@ -52,13 +52,13 @@ pub fn adapt(
     recording: &Recording,
     steps: usize,
     seed: u64,
-    bar: &ProgressBar,
+    shown: &StageShow,
 ) -> Result<Adapted, LearnedError> {
     let name = model.encoder.name();
     let Some(sight) = model.encoder.learned() else { return Err(LearnedError::NotLearned(name)) };
     let config = recipe(steps, recording.episodes().len());
     let start = sight.encoder.weights().clone();
-    let weights = learned::train(recording, &config, Some(&start), &Noise::new(seed), None, bar)?;
+    let weights = learned::train(recording, &config, Some(&start), &Noise::new(seed), None, shown)?;
     let readings = readings::read_all(&weights, recording, || ())?;
     let noise = readings::noise(&readings, recording, recording.episodes().len() - config.held_out.max(1));
     let explained =

@@ -20,7 +20,6 @@ pub mod teacher;
 use std::path::Path;
 
 use crpl_sitl::world::noise::{Noise, Stream};
-use indicatif::ProgressBar;
 
 use crate::encoder::votes::VoteWeights;
 use crate::numeric::adam::{Adam, Betas};
@@ -29,6 +28,7 @@ use crate::numeric::tensors::{self, Reader, Stored, TensorError, Writer, write_a
 use crate::training::learned::batch::normal;
 use crate::training::learned::loss::{GAIN_NET, GainNet, Readings, RunningMeans, TrainPhase};
 use crate::training::learned::passes::{CpuPasses, Passes};
+use crate::training::show::StageShow;
 pub use crate::world_model::learned::LearnedConfig;
 use crate::world_model::recording::Recording;
 
@@ -84,10 +84,10 @@ pub fn train(
     start: Option<&VoteWeights>,
     noise: &Noise,
     dir: Option<&Path>,
-    bar: &ProgressBar,
+    shown: &StageShow,
 ) -> Result<VoteWeights, LearnedError> {
     let passes = &mut CpuPasses::new(config);
-    train_on(recording, config, start, noise, EncoderRun { passes, dir, bar, watch: &mut |_, _| {} })
+    train_on(recording, config, start, noise, EncoderRun { passes, dir, shown, watch: &mut |_, _| {} })
 }
 
 /// What a run is done with; none of it but the passes' rounding changes the result.
@@ -97,7 +97,7 @@ pub struct EncoderRun<'a> {
     /// Keeps the progress.
     pub dir: Option<&'a Path>,
     /// Shows the progress.
-    pub bar: &'a ProgressBar,
+    pub shown: &'a StageShow,
     /// Is shown the number of each finished step and the target after it.
     pub watch: &'a mut dyn FnMut(usize, &VoteWeights),
 }
@@ -113,7 +113,7 @@ pub fn train_on(
     noise: &Noise,
     run: EncoderRun<'_>,
 ) -> Result<VoteWeights, LearnedError> {
-    let EncoderRun { passes, dir, bar, watch } = run;
+    let EncoderRun { passes, dir, shown, watch } = run;
     let found = recording.episodes().len();
     let Some(count) = found.checked_sub(config.held_out).filter(|n| *n > 0) else {
         return Err(LearnedError::Episodes { found, held_out: config.held_out });
@@ -121,7 +121,7 @@ pub fn train_on(
     let episodes = &recording.episodes()[..count];
     let progress = dir.map(|dir| dir.join(LEARNED_PROGRESS));
     let mut state = LearnedState::load_or_begin(progress.as_deref(), start, config, noise)?;
-    bar.set_position(state.step as u64);
+    shown.at(state.step);
     while state.step < config.steps {
         let mut rng = noise.generator(Stream::Batches, (2 << 20) + state.step as u64);
         let drawn = batch::draw(recording, episodes, config, &mut rng)?;
@@ -143,7 +143,7 @@ pub fn train_on(
         state.follow(config);
 
         state.step += 1;
-        bar.set_position(state.step as u64);
+        shown.at(state.step);
         watch(state.step, &state.target);
         if let Some(progress) = &progress
             && state.step.is_multiple_of(config.save_every)
@@ -151,14 +151,29 @@ pub fn train_on(
             state.save(progress)?;
         }
         if state.step.is_multiple_of(REPORT_EVERY) || state.step == config.steps {
-            bar.set_message(state.means.message(loss.value));
-            tracing::debug!(step = state.step, "{}", bar.message());
+            let means = &state.means;
+            shown.report(state.step, means.message(loss.value), &means.curves(loss.value));
         }
     }
     Ok(state.target)
 }
 
 impl RunningMeans {
+    /// The curves of a training by name.
+    fn curves(&self, loss: f32) -> [(&'static str, f64); 8] {
+        [
+            ("loss", loss),
+            ("loss of z_c, px", self.loss_c),
+            ("correlation of z_c with the actions", self.correlation),
+            ("error of z_u, px", self.error_u),
+            ("z_u against the teacher, px", self.teacher),
+            ("error of the gain, dB", self.gain),
+            ("spread of the votes for c, px", self.spread[0]),
+            ("spread of the votes for u, px", self.spread[1]),
+        ]
+        .map(|(name, value)| (name, f64::from(value)))
+    }
+
     fn message(&self, loss: f32) -> String {
         format!(
             "loss {loss:.2}  c {:.2} px R {:.3}  u {:.2} px moves {:.1}  teacher {:.2} ({:.0} %)  gain {:.2} dB  votes {:.1} {:.1} px",

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crpl_sitl::camera::CameraConfig;
 use crpl_sitl::camera::effects::CameraSet;
-use crpl_sitl::program::progress;
+use crpl_sitl::program::page::feed::Feed;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 use crpl_sitl::world::safety;
@@ -27,6 +27,7 @@ use crate::training::learned::readings::{self, HeadSample};
 use crate::training::learned::{self, EncoderRun, load_encoder, save_encoder};
 use crate::training::predictors;
 use crate::training::recipe::{REJECTED, Run, TrainError, in_words, networks};
+use crate::training::show::StageShow;
 use crate::world_model::card::{Card, FitCheck, LearnedCheck};
 use crate::world_model::checkpoint::{CARD, FORMAT};
 use crate::world_model::config::{LearnedTraining, TrainConfig};
@@ -63,7 +64,7 @@ pub fn train(
     let recording = match &run.data {
         Some(dir) => Recording::open(dir, None)?,
         None => {
-            record(config, part, &scenario, &own)?;
+            record(config, part, &scenario, &own, run.feed.as_ref())?;
             Recording::open(&own, None)?
         }
     };
@@ -73,10 +74,11 @@ pub fn train(
         "encoder",
         |dir| load_encoder(&dir.join(ENCODER)),
         || {
-            let bar = progress::bar("encoder", part.encoder.steps as u64);
-            let how = EncoderRun { passes: &mut *passes, dir: cache.dir(), bar: &bar, watch: &mut |_, _| {} };
+            let shown = StageShow::begin("encoder", part.encoder.steps, run.feed.as_ref());
+            let how =
+                EncoderRun { passes: &mut *passes, dir: cache.dir(), shown: &shown, watch: &mut |_, _| {} };
             let weights = learned::train_on(&recording, &part.encoder, None, &noise, how)?;
-            bar.finish();
+            shown.finish();
             Ok(weights)
         },
         |weights, dir| save_encoder(weights, &dir.join(ENCODER)),
@@ -86,7 +88,7 @@ pub fn train(
     model
 }
 
-/// Records exploratory flights into `dir`, unless they are there.
+/// Records exploratory flights into `dir`, unless they are there; `feed` is where others watch.
 ///
 /// # Errors
 /// If a camera has no such name, or a file cannot be written.
@@ -95,17 +97,18 @@ pub fn record(
     part: &LearnedTraining,
     scenario: &Scenario,
     dir: &Path,
+    feed: Option<&Feed>,
 ) -> Result<(), TrainError> {
     let done = dir.join("done");
     if done.exists() {
         return Ok(());
     }
     let exploration = &part.recording;
-    let bar = progress::bar("recording", exploration.episodes as u64);
+    let shown = StageShow::begin("recording", exploration.episodes, feed);
     let cameras = cameras(exploration)?;
     let place = (dir, RecordingFormat::default());
-    exploration::collect(exploration, &cameras, scenario, config.seed, place, || bar.inc(1))?;
-    bar.finish();
+    exploration::collect(exploration, &cameras, scenario, config.seed, place, || shown.add(1))?;
+    shown.finish();
     Ok(std::fs::write(&done, "").map_err(TensorError::file(&done))?)
 }
 
@@ -132,9 +135,9 @@ fn finish(
     let scale = config.encoder.scale;
 
     // What it reads in the recording, and how far such a reading is off.
-    let bar = progress::bar("readings", recording.episodes().len() as u64);
-    let readings = readings::read_all(weights, recording, || bar.inc(1))?;
-    bar.finish();
+    let shown = StageShow::begin("readings", recording.episodes().len(), run.feed.as_ref());
+    let readings = readings::read_all(weights, recording, || shown.add(1))?;
+    shown.finish();
     let held_out = recording.episodes().len().saturating_sub(part.encoder.held_out);
     let reading_noise = readings::noise(&readings, recording, held_out);
     let planes = [random_plane(&noise, 1), random_plane(&noise, 2)];
@@ -198,8 +201,12 @@ fn finish(
     let dir = if alarms.is_empty() { run.out.clone() } else { run.out.join(REJECTED) };
     model.save(&dir)?;
     if alarms.is_empty() {
-        let trained =
-            cache.keep("networks", predictors::load, || networks(config, &model), predictors::save)?;
+        let trained = cache.keep(
+            "networks",
+            predictors::load,
+            || networks(config, &model, run.feed.as_ref()),
+            predictors::save,
+        )?;
         predictors::publish(&trained, &dir)?;
     }
     let card =
@@ -248,8 +255,8 @@ fn train_heads(
         });
     }
     let device = run.backend.device()?;
-    let bar = progress::bar("heads", 2 * config.heads.steps as u64);
-    let heads = head_training::train(&drawn, probe, &config.heads, &device, &noise, || bar.inc(1));
-    bar.finish();
+    let shown = StageShow::begin("heads", 2 * config.heads.steps, run.feed.as_ref());
+    let heads = head_training::train(&drawn, probe, &config.heads, &device, &noise, || shown.add(1));
+    shown.finish();
     Ok(heads)
 }

@@ -177,6 +177,8 @@ pub enum WatchEvent {
     Geo {
         /// Latitude and longitude of the origin, degrees.
         origin: [f64; 2],
+        /// From north to the frame's up, degrees clockwise.
+        heading: f64,
         /// GeoJSON, if there are any.
         #[serde(skip_serializing_if = "Option::is_none")]
         buildings: Option<Value>,
@@ -220,14 +222,14 @@ pub struct ShownBelief {
 }
 
 impl WatchEvent {
-    /// The first line of a long computation.
+    /// The first line of a long computation; `revision` is that of the program.
     #[must_use]
-    pub fn computation(program: &str, title: &str, scenario: Option<Value>) -> Self {
+    pub fn computation(program: &str, revision: &str, title: &str, scenario: Option<Value>) -> Self {
         Self::Hello {
             version: VERSION,
             title: format!("{program}: {title}"),
             program: program.into(),
-            revision: crate::revision().into(),
+            revision: revision.into(),
             seed: None,
             frame: ShownFrame::Square,
             scenario,
@@ -452,7 +454,7 @@ mod tests {
     #[test]
     fn a_full_history_forgets_pictures_before_lines_and_the_hello_never() {
         let feed = Feed::with_capacity(50_000);
-        feed.send(&WatchEvent::Geo { origin: [0.0; 2], buildings: None });
+        feed.send(&WatchEvent::Geo { origin: [0.0; 2], heading: 0.0, buildings: None });
         for tick in 0..1000 {
             feed.send(&picture(tick));
             feed.log("info", tick as f64, "line");

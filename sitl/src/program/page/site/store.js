@@ -190,8 +190,9 @@ Store.kinds = {
   point: (store, m) => store.points.push(m),
   geo(store, m) {
     store.geo = m;
-    store.rings = m.buildings ? ringsOf(m.buildings, m.origin) : [];
-    store.rings.flat().forEach((point) => store.include(point));
+    const rings = m.buildings ? ringsOf(m.buildings, m) : [];
+    const unit = store.local ? 1 : (store.scenario.scale?.metres_per_unit ?? 1);
+    store.rings = rings.map((ring) => ring.map(([x, y]) => [x / unit, y / unit]));
   },
   end(store, m) {
     store.end = m;

@@ -168,7 +168,9 @@ class FieldView {
   grid(context) {
     const { map } = this;
     const [west, south, east, north] = map.bounds;
-    const step = this.store.local ? niceBelow((east - west) / 4) : 0.1;
+    // A field that lies on Earth has lines at whole metres, as a map.
+    const unit = this.store.geo && this.metres > 0 ? this.metres : 0;
+    const step = unit > 0 ? niceBelow(((east - west) * unit) / 4) / unit : 0.1;
     context.setLineDash([]);
     context.lineWidth = 1;
     context.strokeStyle = this.theme.grid;
@@ -186,6 +188,12 @@ class FieldView {
   }
 
   buildings(context) {
+    const [west, south, east, north] = this.map.bounds;
+    const { scale } = this.map;
+    context.save();
+    context.beginPath();
+    context.rect(this.map.x(west), this.map.y(north), scale * (east - west), scale * (north - south));
+    context.clip();
     context.beginPath();
     for (const ring of this.store.rings) {
       ring.forEach(([x, y], k) => {
@@ -198,6 +206,7 @@ class FieldView {
     context.fill("evenodd");
     context.strokeStyle = this.theme.obstacleEdge;
     context.stroke();
+    context.restore();
   }
 
   /** Base station, start and goal. */
@@ -252,13 +261,17 @@ class FieldView {
     this.text(context, length >= 1000 ? `${length / 1000} km` : `${length} m`, right - pixels / 2, y - 5,
       { align: "center", size: 0.75 });
     const [x, top] = [map.x(map.bounds[2]) - 1.3 * rem, map.y(map.bounds[3]) + 0.9 * rem];
+    context.save();
+    context.translate(x, top + 0.75 * rem);
+    context.rotate((-(this.store.geo?.heading ?? 0) * Math.PI) / 180);
     context.beginPath();
-    context.moveTo(x, top + 1.5 * rem);
-    context.lineTo(x, top);
-    context.moveTo(x - 3.5, top + 5);
-    context.lineTo(x, top);
-    context.lineTo(x + 3.5, top + 5);
+    context.moveTo(0, 0.75 * rem);
+    context.lineTo(0, -0.75 * rem);
+    context.moveTo(-3.5, 5 - 0.75 * rem);
+    context.lineTo(0, -0.75 * rem);
+    context.lineTo(3.5, 5 - 0.75 * rem);
     context.stroke();
+    context.restore();
     this.text(context, "N", x, top + 2.5 * rem, { align: "center", size: 0.75 });
   }
 

@@ -4,11 +4,19 @@
 //! fit no message that is known today; a clock that was set in flight is no pause. A `record.jsonl` is
 //! told as the vehicle told it: its report, its place on the map and its heartbeat. Commands that a
 //! station sent are left out of a tlog unless they are wanted: nobody is to fly by them. Keys
-//! (SETUP_SIGNING) are never sent.
+//! (SETUP_SIGNING) are never sent. A folder of `gcs record` is told as records are, one episode after the other.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`recording`] | a recording as records |
+//! | [`show`] | what a page shows of a replay |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
 
-use std::collections::{BTreeSet, VecDeque};
+pub mod recording;
+pub mod show;
+
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::time::Duration;
@@ -35,10 +43,12 @@ use serde_json::Value;
 use tokio::time::{Instant, sleep_until};
 
 use crate::tools::bridge::hub::Hub;
-use crate::tools::spotter::Spotter;
 use crate::tools::tlog;
-use crate::watch::feed::{Feed, WatchEvent};
-use crate::watch::{WatchFlags, document};
+use crate::watch::WatchFlags;
+use crate::watch::feed::Feed;
+use crate::watch::map::MapFlags;
+use recording::ReplayedRecording;
+use show::ReplayShow;
 
 /// A pause that is longer is announced.
 const LONG: Duration = Duration::from_secs(10);
@@ -50,7 +60,8 @@ const GCS: u8 = 6;
 /// Flags of `gcs replay`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Replay {
-    /// Run folder, or a file of one: flight.tlog or record.jsonl; or the tlog of any vehicle
+    /// Run folder, or a file of one: flight.tlog or record.jsonl; a folder of `gcs record`; or the tlog of any
+    /// vehicle
     #[arg(value_name = "RUN")]
     file: PathBuf,
     /// Endpoints to send to: udpout:HOST:PORT, or udpin, tcpout, tcpin; repeatable
@@ -58,6 +69,8 @@ pub struct Replay {
     forward: Vec<Endpoint>,
     #[command(flatten)]
     watch: WatchFlags,
+    #[command(flatten)]
+    map: MapFlags,
     /// Speed relative to the recorded flight
     #[arg(long, value_name = "X", default_value = "1", value_parser = speed)]
     speed: f64,
@@ -77,8 +90,8 @@ pub type Script = Vec<(Duration, Vec<u8>)>;
 /// # Errors
 /// A log that does not read, and an endpoint that cannot be opened.
 pub async fn run(args: Replay) -> Result<()> {
-    let file = log_of(&args.file, &["flight.tlog", "record.jsonl"])?;
-    let script = script(&file, args.all)?;
+    let source = ReplaySource::open(&args.file)?;
+    let script = source.script(args.all)?;
     let mut interrupted = pin!(interrupted());
     let mut hub = Hub::default();
     hub.local();
@@ -88,8 +101,9 @@ pub async fn run(args: Replay) -> Result<()> {
     for endpoint in &args.forward {
         crpl_sitl::outln!("forward: {}", hub.open(endpoint).await?);
     }
+    let buildings = args.map.load()?;
     let page = args.watch.open()?;
-    let mut shown = page.as_ref().map(|page| ReplayShow::of(&file, page.feed()));
+    let mut shown = page.as_ref().map(|page| source.show(page.feed(), buildings)).transpose()?;
     // A port of ours has no listener before one has spoken to it.
     if !args.forward.is_empty() && !args.forward.iter().any(Endpoint::speaks_at_once) {
         crpl_sitl::outln!("waiting for a connection");
@@ -135,79 +149,61 @@ pub async fn run(args: Replay) -> Result<()> {
     Ok(())
 }
 
-/// What a page shows of a replay.
-enum ReplayShow {
-    /// The lines of the `flight.html` beside the log, at their times.
-    Lines { feed: Feed, lines: VecDeque<(Duration, String)> },
-    /// What the messages tell.
-    Spotted { feed: Feed, spotter: Spotter },
+/// What is replayed.
+enum ReplaySource {
+    /// A tlog or a file of records.
+    Log(PathBuf),
+    /// A folder of `gcs record`.
+    Recording(Box<ReplayedRecording>),
 }
 
-impl ReplayShow {
-    fn of(log: &Path, feed: &Feed) -> Self {
-        let feed = feed.clone();
-        let html = std::fs::read_to_string(log.with_file_name("flight.html")).ok();
-        match html.as_deref().and_then(document::lines_of) {
-            Some(lines) => Self::Lines { feed, lines: timed(lines) },
-            None => Self::Spotted { spotter: Spotter::new(feed.clone(), "gcs replay", false), feed },
+impl ReplaySource {
+    fn open(path: &Path) -> Result<Self> {
+        if recording::is_recording(path) {
+            let recording =
+                ReplayedRecording::open(path).with_context(|| format!("reading {}", path.display()))?;
+            return Ok(Self::Recording(Box::new(recording)));
         }
+        Ok(Self::Log(log_of(path, &["flight.tlog", "record.jsonl"])?))
     }
 
-    /// This was sent so long after the beginning.
-    fn play(&mut self, after: Duration, bytes: &[u8]) {
-        match self {
-            Self::Lines { feed, lines } => {
-                while let Some((_, line)) = lines.pop_front_if(|(due, _)| *due <= after) {
-                    feed.repeat(&line);
-                }
-            }
-            Self::Spotted { spotter, .. } => spotter.datagram(bytes, after),
+    fn script(&self, all: bool) -> Result<Script> {
+        let path = match self {
+            Self::Log(path) => path,
+            Self::Recording(recording) => return told(&recording.records, &recording.scenario),
+        };
+        let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
+        let name = || path.display().to_string();
+        let script = if is_record(path) {
+            from_records(&String::from_utf8_lossy(&bytes), &scenario_beside(path)?).with_context(name)?
+        } else {
+            from_tlog(&bytes, all).with_context(name)?
+        };
+        if script.is_empty() {
+            bail!("{}: nothing in it to send", path.display());
         }
+        Ok(script)
     }
 
-    fn finish(&mut self) {
-        match self {
-            Self::Lines { feed, lines } => lines.drain(..).for_each(|(_, line)| feed.repeat(&line)),
-            Self::Spotted { feed, .. } => {
-                feed.send(&WatchEvent::End { reason: "over".into(), summary: Value::Null });
-            }
+    fn show(self, feed: &Feed, buildings: Option<Value>) -> Result<ReplayShow> {
+        let path = match self {
+            Self::Log(path) => path,
+            Self::Recording(recording) => return Ok(ReplayShow::of_recording(*recording, feed)),
+        };
+        if let Some(show) = ReplayShow::beside(&path, feed) {
+            return Ok(show);
         }
+        if !is_record(&path) {
+            return Ok(ReplayShow::of_messages(feed, buildings));
+        }
+        let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+        Ok(ReplayShow::of_records(&records(&text)?, &scenario_beside(&path)?, feed))
     }
 }
 
-/// Lines with the time of the flight at which each was told: an interval's own line at its end, all others when their
-/// interval begins.
-fn timed(lines: Vec<String>) -> VecDeque<(Duration, String)> {
-    let (mut now, mut interval_s) = (0.0_f64, Scenario::default().scale.interval_s);
-    let mut told = VecDeque::new();
-    for line in lines {
-        let value: Value = serde_json::from_str(&line).unwrap_or_default();
-        if let Some(seconds) = value["dt_s"].as_f64() {
-            interval_s = seconds;
-        }
-        let at = value["arrived"].as_u64().or(value["tick"].as_u64());
-        let ended = u64::from(value["kind"] == "tick");
-        now = at.map_or(now, |tick| now.max((tick + ended) as f64 * interval_s));
-        told.push_back((Duration::try_from_secs_f64(now).unwrap_or_default(), line));
-    }
-    told
-}
-
-fn script(path: &Path, all: bool) -> Result<Script> {
-    // A run folder stands for its log.
-    let within = path.join("flight.tlog");
-    let path = if path.is_dir() && within.exists() { &within } else { path };
-    let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
-    let name = || path.display().to_string();
-    let script = if path.extension().is_some_and(|end| end == "jsonl") {
-        from_records(&String::from_utf8_lossy(&bytes), &scenario_beside(path)?).with_context(name)?
-    } else {
-        from_tlog(&bytes, all).with_context(name)?
-    };
-    if script.is_empty() {
-        bail!("{}: nothing in it to send", path.display());
-    }
-    Ok(script)
+/// Whether a file is one of records.
+fn is_record(path: &Path) -> bool {
+    path.extension().is_some_and(|end| end == "jsonl")
 }
 
 /// The frames of a tlog. What is none is told and left out, as is an end that is cut off.
@@ -294,16 +290,20 @@ pub fn scenario_beside(path: &Path) -> Result<Scenario> {
 /// # Errors
 /// A line is no record.
 pub fn from_records(text: &str, scenario: &Scenario) -> Result<Script> {
+    told(&records(text)?, scenario)
+}
+
+fn told(records: &[Record], scenario: &Scenario) -> Result<Script> {
     let clock = Clock::new(scenario);
     let (mut autopilot, mut radio) = (Encoder::new(1, AUTOPILOT), Encoder::new(1, RADIO));
     let mut script = Script::new();
     let mut next_beat = 0.0;
-    for (k, record) in records(text)?.into_iter().enumerate() {
+    for (k, record) in records.iter().enumerate() {
         let seconds = record.tick.0 as f64 * scenario.scale.interval_s;
         if seconds > LONGEST_RECORD_S {
             bail!("line {}: tick {} is no flight's", k + 1, record.tick.0);
         }
-        let report = report(&record, scenario);
+        let report = report(record, scenario);
         let mut datagram = Vec::new();
         if seconds >= next_beat {
             next_beat = seconds + 1.0;

@@ -32,9 +32,9 @@ use tokio::net::TcpListener;
 use tokio::sync::{oneshot, watch};
 use tokio::time::timeout;
 
-use crate::watch::control::{PageControl, VehicleAction};
-use crate::watch::document;
-use crate::watch::feed::{Feed, FeedLine};
+use super::control::{PageControl, VehicleAction};
+use super::document;
+use super::feed::{Feed, FeedLine};
 
 /// Bytes of lines that a reader is given at once.
 const CHUNK: usize = 64 << 10;

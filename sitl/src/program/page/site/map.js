@@ -34,8 +34,14 @@ function metresFromDegrees([latitude, longitude], origin) {
   ];
 }
 
-/** The outer and inner rings of all polygons of a GeoJSON object, in metres round `origin`. */
-function ringsOf(geojson, origin) {
+/** Metres east and north to metres along the right and the up of a frame whose up is `heading` degrees from north. */
+function turned([east, north], heading) {
+  const [sin, cos] = [Math.sin((heading * Math.PI) / 180), Math.cos((heading * Math.PI) / 180)];
+  return [cos * east - sin * north, cos * north + sin * east];
+}
+
+/** The outer and inner rings of all polygons of a GeoJSON object, in metres of the frame that a `geo` line tells. */
+function ringsOf(geojson, { origin, heading = 0 }) {
   const rings = [];
   const walk = (node) => {
     if (!node) return;
@@ -45,7 +51,7 @@ function ringsOf(geojson, origin) {
     const polygons = { Polygon: [node.coordinates], MultiPolygon: node.coordinates }[node.type] ?? [];
     for (const polygon of polygons) {
       for (const ring of polygon) {
-        rings.push(ring.map(([longitude, latitude]) => metresFromDegrees([latitude, longitude], origin)));
+        rings.push(ring.map(([longitude, latitude]) => turned(metresFromDegrees([latitude, longitude], origin), heading)));
       }
     }
   };
@@ -59,15 +65,18 @@ function niceBelow(value) {
   return [5, 2, 1].map((digit) => digit * power).find((nice) => nice <= value * (1 + 1e-9)) ?? power;
 }
 
-/** Bounds of a local map: the flights, the buildings and the scenario's places, with room about them. */
+/** Bounds of a local map: the flights and the scenario's places, with room about them, and more where there are
+    buildings to be seen. */
 function localBounds(store) {
   const { start, goal, channel } = store.scenario;
   [start, goal, channel?.base_station].forEach((place) => store.include(place));
   const [west, south, east, north] = store.extent;
   if (west > east) return [-50, -50, 50, 50];
-  // A margin of a tenth, and never less than 20 m across; rounded, so that a flight does not shake the map.
-  const step = niceBelow(Math.max(east - west, north - south, 20) / 4);
-  const grow = step / 2;
+  // Never less than this across; rounded, so that a flight does not shake the map.
+  const least = store.rings.length > 0 ? 150 : 20;
+  const span = Math.max(east - west, north - south);
+  const step = niceBelow(Math.max(span, least) / 4);
+  const grow = step / 2 + Math.max(0, least - span) / 2;
   return [
     Math.floor((west - grow) / step) * step,
     Math.floor((south - grow) / step) * step,

@@ -5,10 +5,10 @@ use std::borrow::Cow;
 
 use include_dir::{Dir, include_dir};
 
-use crate::watch::feed::{FeedLine, LineWeight};
+use super::feed::{FeedLine, LineWeight};
 
 /// The page's files.
-static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/src/watch/page");
+static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/src/program/page/site");
 
 /// Bytes of a whole `flight.html`: one can mail it.
 pub const LIMIT: usize = 1_950_000;
