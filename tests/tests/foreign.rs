@@ -15,6 +15,7 @@ use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
+use tests::fake_params::FakeParams;
 use tests::program::{self, Program};
 
 const STACKS: [(Stack, guide::ForeignStack, &str); 2] = [
@@ -354,6 +355,95 @@ fn a_large_flight_needs_a_yes_and_says_where_it_goes() {
     let dry =
         program::run("gcs", &[&large[..], &["foreign", "--dry-run", "--altitude", "7"]].concat()).unwrap();
     assert!(dry.good().unwrap().contains("would climb to 7 m and fly in a square of 60 m"));
+}
+
+/// Report A6: what the vehicle allows by its own parameters and fence was not looked at.
+#[test]
+fn a_flight_beyond_the_vehicle_s_own_limits_is_refused_before_it_is_armed() {
+    let (copter, px4) = (FakeParams::ardupilot(), FakeParams::px4());
+    let fenced = copter.clone().with("FENCE_ENABLE", 1.0);
+    for (at, params, why) in [
+        (
+            0,
+            copter.clone().with("WPNAV_SPEED", 150.0),
+            "largest speed is 2.0 m/s, above the vehicle's WPNAV_SPEED of 1.5",
+        ),
+        (0, copter.clone().renamed().with("WP_SPD", 1.5), "above the vehicle's WP_SPD of 1.5 m/s"),
+        (0, copter.clone().with("WPNAV_ACCEL", 10.0), "above the vehicle's WPNAV_ACCEL of 0.1 m/s²"),
+        (0, fenced.clone().with("FENCE_ALT_MAX", 12.0), "above the vehicle's FENCE_ALT_MAX of 12.0 m"),
+        (0, fenced.with("FENCE_RADIUS", 30.0), "above the vehicle's FENCE_RADIUS of 30.0 m"),
+        (1, px4.clone().with("MPC_XY_VEL_MAX", 1.0), "above the vehicle's MPC_XY_VEL_MAX of 1.0 m/s"),
+        (1, px4.clone().with("MPC_TILTMAX_AIR", 0.5), "above the vehicle's MPC_TILTMAX_AIR of 0.5 degrees"),
+        (1, px4.clone().with("GF_MAX_VER_DIST", 9.0), "above the vehicle's GF_MAX_VER_DIST of 9.0 m"),
+        (1, px4.with("GF_MAX_HOR_DIST", 20.0), "above the vehicle's GF_MAX_HOR_DIST of 20.0 m"),
+    ] {
+        let (fake, stack, _) = STACKS[at];
+        let mut autopilot = Autopilot::new(fake, [-7.0, 21.0], true);
+        autopilot.params = params;
+        let mut armed = false;
+        let story = story_of(autopilot, stack, |_, autopilot, _| armed |= autopilot.is_armed());
+        let GuideEvent::Failed(_, told) = &story.end else { panic!("{why}: {:?}", story.end) };
+        assert!(told.contains(why) && told.contains("before the vehicle is armed"), "{why}: {told}");
+        assert!(!armed, "{why}");
+        assert!(
+            story.said.iter().any(|said| said.contains("the vehicle's own limits: ")),
+            "{:?}",
+            story.said
+        );
+    }
+}
+
+#[test]
+fn a_fence_that_is_off_and_limits_that_nobody_tells_stop_no_flight() {
+    let off = FakeParams::ardupilot().with("FENCE_ALT_MAX", 1.0).with("FENCE_RADIUS", 1.0);
+    for (params, word) in
+        [(off, "no fence"), (FakeParams::ardupilot().silent(), "the vehicle does not tell its limits")]
+    {
+        let mut autopilot = Autopilot::new(Stack::ArduPilot, [-7.0, 21.0], true);
+        autopilot.params = params;
+        let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+        assert!(matches!(story.end, GuideEvent::Holding), "{word}: {:?}", story.end);
+        assert!(story.said.iter().any(|said| said.contains(word)), "{word}: {:?}", story.said);
+    }
+}
+
+#[test]
+fn a_field_lies_at_its_origin_and_the_vehicle_flies_to_its_start_first() {
+    for (fake, stack, name) in STACKS {
+        let how = Foreign { origin: Some([-20.0, 10.0]), ..Foreign::new(stack) };
+        let start = scenario().scale.ned_from_paper(scenario().start);
+        let start = [f64::from(start[0]) - 20.0, f64::from(start[1]) + 10.0];
+        let mut began = None;
+        let story = story_with(Autopilot::new(fake, [-7.0, 21.0], true), how, |_, autopilot, _| {
+            if autopilot.accelerations == 1 {
+                began.get_or_insert(autopilot.position());
+            }
+        });
+        assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?} {:?}", story.end, story.said);
+        assert!(story.station.score().unwrap().is(FlightOutcome::Reached), "{name}");
+        let [north, east, _] = began.unwrap();
+        assert!(
+            (north - start[0]).hypot(east - start[1]) < 1.0,
+            "{name} began at {north}, {east}: {start:?}"
+        );
+    }
+}
+
+/// Report A1, A6: there was no limit on the height.
+#[test]
+fn a_vehicle_that_leaves_its_height_is_stopped() {
+    for (fake, stack, name) in STACKS {
+        let mut blown = false;
+        let story = story((fake, stack), |_, autopilot, _| {
+            if autopilot.accelerations > 100 && !std::mem::replace(&mut blown, true) {
+                autopilot.lift(6.0);
+            }
+        });
+        assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?}", story.end);
+        let told = story.said.iter().any(|said| said.contains("m from its height: it is stopped"));
+        assert!(told, "{name}: {:?}", story.said);
+        assert!(story.station.score().unwrap().ticks < scenario().horizon, "{name}");
+    }
 }
 
 #[test]
