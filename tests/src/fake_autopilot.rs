@@ -32,7 +32,7 @@ use crpl_sitl::link::dialect::{
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandLong;
-use crpl_sitl::link::messages::param::ParamRequestRead;
+use crpl_sitl::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet};
 use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
 
@@ -398,6 +398,10 @@ impl Autopilot {
                 self.target(&target);
             } else if let Some(ask) = ParamRequestRead::of(&packet).filter(|ask| ask.target.system <= 1) {
                 self.params.answer(&ask, &mut self.encoder, &mut self.out);
+            } else if ParamRequestList::of(&packet).is_some_and(|ask| ask.target.system <= 1) {
+                self.params.list(&mut self.encoder, &mut self.out);
+            } else if let Some(asked) = ParamSet::of(&packet).filter(|asked| asked.target.system <= 1) {
+                self.params.set(&asked, &mut self.encoder, &mut self.out);
             } else if let Some(sync) = Timesync::of(&packet).filter(|sync| sync.tc1 == 0) {
                 let target = (packet.system, packet.component).into();
                 let answer = Timesync { tc1: (self.time * 1e9) as i64 + 1, ts1: sync.ts1, target };

@@ -2,7 +2,7 @@
 //! tell them: ArduCopter as floats, PX4 integers by their bytes. A name that they do not have gets no answer.
 
 use crpl_sitl::link::encoder::Encoder;
-use crpl_sitl::link::messages::param::{ParamRequestRead, ParamValue};
+use crpl_sitl::link::messages::param::{ParamRequestRead, ParamSet, ParamValue};
 
 /// MAV_PARAM_TYPE.
 const INT32: u8 = 6;
@@ -12,8 +12,13 @@ const REAL32: u8 = 9;
 #[derive(Debug, Clone)]
 pub struct FakeParams {
     bytewise: bool,
-    all: Vec<(&'static str, f32, u8)>,
+    all: Vec<FakeParam>,
+    /// What it has as soon as a switch is above 0.
+    behind: Vec<(&'static str, FakeParam)>,
 }
+
+/// Name, value, type.
+type FakeParam = (&'static str, f32, u8);
 
 impl FakeParams {
     /// ArduCopter's, up to 4.6.
@@ -28,8 +33,13 @@ impl FakeParams {
             ("FENCE_ALT_MAX", 100.0, REAL32),
             ("FENCE_ALT_MIN", -10.0, REAL32),
             ("FENCE_RADIUS", 300.0, REAL32),
+            ("RNGFND1_TYPE", 0.0, INT32),
         ];
-        Self { bytewise: false, all }
+        let behind = vec![
+            ("RNGFND1_TYPE", ("RNGFND1_MAX", 7.0, REAL32)),
+            ("RNGFND1_MAX", ("RNGFND1_MIN", 0.2, REAL32)),
+        ];
+        Self { bytewise: false, all, behind }
     }
 
     /// PX4's.
@@ -43,7 +53,7 @@ impl FakeParams {
             ("GF_MAX_VER_DIST", 0.0, REAL32),
             ("GF_MAX_HOR_DIST", 0.0, REAL32),
         ];
-        Self { bytewise: true, all }
+        Self { bytewise: true, all, behind: Vec::new() }
     }
 
     /// The names that ArduCopter has from 4.7 on, and their units.
@@ -78,11 +88,35 @@ impl FakeParams {
         self
     }
 
-    /// Answers a request by name.
+    /// Answers a request by name, or by the place in the list.
     pub fn answer(&self, ask: &ParamRequestRead, encoder: &mut Encoder, out: &mut Vec<u8>) {
         let asked = ask.name.lossy();
-        let Some(index) = self.all.iter().position(|(name, ..)| asked == *name) else { return };
-        let (name, value, kind) = self.all[index];
+        let by_name = self.all.iter().position(|(name, ..)| asked == *name);
+        if let Some(index) = usize::try_from(ask.index).ok().or(by_name) {
+            self.tell(index, encoder, out);
+        }
+    }
+
+    /// Tells all.
+    pub fn list(&self, encoder: &mut Encoder, out: &mut Vec<u8>) {
+        (0..self.all.len()).for_each(|index| self.tell(index, encoder, out));
+    }
+
+    /// Sets one, and tells it.
+    pub fn set(&mut self, asked: &ParamSet, encoder: &mut Encoder, out: &mut Vec<u8>) {
+        let name = asked.name.lossy();
+        let Some(index) = self.all.iter().position(|(known, ..)| name == *known) else { return };
+        let is_whole = self.bytewise && self.all[index].2 == INT32;
+        self.all[index].1 =
+            if is_whole { i32::from_le_bytes(asked.value) as f32 } else { f32::from_le_bytes(asked.value) };
+        self.tell(index, encoder, out);
+        let (switch, value, _) = self.all[index];
+        let revealed = self.behind.extract_if(.., |(behind, _)| *behind == switch && value > 0.0);
+        self.all.extend(revealed.map(|(_, param)| param));
+    }
+
+    fn tell(&self, index: usize, encoder: &mut Encoder, out: &mut Vec<u8>) {
+        let Some(&(name, value, kind)) = self.all.get(index) else { return };
         let told = ParamValue {
             value: if self.bytewise && kind == INT32 {
                 (value as i32).to_le_bytes()

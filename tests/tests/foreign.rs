@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
 
+use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
 use crpl_gcs::flight::FlightEnd;
@@ -13,6 +14,13 @@ use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::dialect::{COMMAND_LONG_DATA, MavCmd};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandAck;
+use crpl_sitl::link::messages::telemetry::LocalPositionNed;
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use tests::fake_autopilot::{Autopilot, Served, Stack};
 use tests::fake_params::FakeParams;
@@ -340,6 +348,69 @@ fn ctrl_c_asks_for_brake_until_it_is_acknowledged() {
         assert!(finished.stderr.contains("the vehicle holds its place"), "{}", finished.stderr);
         assert_eq!(served.with(|autopilot| autopilot.mode()), 17);
     }
+}
+
+/// Report A3: whoever took over behind `--forward` lost the vehicle in that moment, even the answer to his command.
+#[test]
+fn who_takes_over_behind_a_flight_keeps_the_vehicle() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(Autopilot::new(Stack::ArduPilot, [3.0, -4.0], false), 8.0).unwrap();
+    let operator = UdpSocket::bind("127.0.0.1:0").unwrap();
+    operator.set_read_timeout(Some(program::PATIENCE)).unwrap();
+    let endpoint = served.endpoint(Stack::ArduPilot);
+    let forward = format!("udpout:{}", operator.local_addr().unwrap());
+    let out = folder.path().join("flight");
+    let args = ["fly", "--vehicle", "ardupilot", "--connect", &endpoint, "--speed", "8"];
+    let args = [&args[..], &["--out", out.to_str().unwrap(), "--forward", &forward]].concat();
+    let gcs = Program::start("gcs", &args, None).unwrap();
+    gcs.logs("at its height: CRPL flies").unwrap();
+    let (mut decoder, mut encoder, mut buffer) = (Decoder::default(), Encoder::new(254, 190), [0; 65_536]);
+    let mut ask = Vec::new();
+    let loiter = COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        param1: 1.0,
+        param2: 5.0,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    };
+    encoder.push(&mut ask, &loiter);
+    let mut hear = |wanted: &mut dyn FnMut(&Packet, SocketAddr) -> bool| loop {
+        let (length, from) = operator.recv_from(&mut buffer).unwrap();
+        if decoder.datagram(&buffer[..length]).iter().any(|packet| wanted(packet, from)) {
+            return;
+        }
+    };
+    hear(&mut |packet, from| {
+        operator.send_to(&ask, from).unwrap();
+        packet.system == 1
+    });
+    hear(&mut |packet, _| {
+        CommandAck::of(packet).is_some_and(|ack| ack.command == 176 && ack.target.system == 254)
+    });
+    gcs.logs("messages are passed on until").unwrap();
+    let mut places = 0;
+    hear(&mut |packet, _| {
+        places += u32::from(LocalPositionNed::of(packet).is_some());
+        places > 50
+    });
+    served.with(Autopilot::disarm);
+    let finished = gcs.wait().unwrap();
+    assert_eq!(finished.status.code(), Some(4), "{}", finished.stderr);
+    assert_eq!(served.with(|autopilot| autopilot.mode()), 5);
+}
+
+/// Report A11: parameters that a switch brings needed a second load of the same file.
+#[test]
+fn parameters_behind_switches_are_loaded_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(Autopilot::new(Stack::ArduPilot, [0.0, 0.0], false), 1.0).unwrap();
+    let file = folder.path().join("rangefinder.param");
+    std::fs::write(&file, "RNGFND1_MIN,0.5\nRNGFND1_MAX,9\nRNGFND1_TYPE,8\nWPNAV_SPEED,300\n").unwrap();
+    let endpoint = served.endpoint(Stack::ArduPilot);
+    let args = ["param", "--connect", &endpoint, "load", file.to_str().unwrap()];
+    let said = program::run("gcs", &args).unwrap().good().unwrap();
+    assert!(said.contains("4 set, 0 as they were, 0 refused"), "{said}");
 }
 
 /// Report A6: a configuration of the project's own climbed to 100 m and flew 390 m away, without a word.
