@@ -168,6 +168,14 @@ struct Fly {
     /// Where the upper edge of a foreign vehicle's field lies, degrees clockwise from north
     #[arg(help_heading = "Foreign vehicles", long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
     heading: f64,
+    /// Lower left corner of a foreign vehicle's field: metres north and east of the vehicle's own origin, to whose
+    /// start it then flies first [default: the field lies so that its start is where the vehicle is]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "NORTH,EAST", allow_hyphen_values = true, value_parser = place)]
+    origin: Option<[f32; 2]>,
+    /// How far above or below its height a foreign vehicle may come before it is stopped, m [default: 5, or half of
+    /// its height]
+    #[arg(help_heading = "Foreign vehicles", long, value_name = "METRES", value_parser = positive)]
+    vertical_limit: Option<f64>,
     /// What a foreign vehicle does when its flight is over
     #[arg(help_heading = "Foreign vehicles", long, value_enum, default_value = "hold")]
     end: WhenOver,
@@ -220,6 +228,13 @@ fn degrees(text: &str) -> Result<f64, String> {
         Ok(x) if (-360.0..=360.0).contains(&x) => Ok(x),
         _ => Err("must be a number of degrees from -360 to 360".into()),
     }
+}
+
+/// A flag's value: metres north and east.
+fn place(text: &str) -> Result<[f32; 2], String> {
+    let metres = |part: &str| part.trim().parse().ok().filter(|x: &f32| x.abs() <= 1e5);
+    let place = text.split_once(',').and_then(|(north, east)| Some([metres(north)?, metres(east)?]));
+    place.ok_or_else(|| "must be metres north and east of the vehicle's origin, such as 20,-5".into())
 }
 
 /// The autopilot whose protocol a vehicle follows.
@@ -290,18 +305,27 @@ async fn fly(args: Fly) -> Result<()> {
         identity: args.identity,
         steering: None,
     };
-    let foreign = args.vehicle.foreign();
+    let foreign = args.vehicle.foreign().map(|stack| Foreign {
+        stack,
+        system: args.sysid,
+        speed: args.speed,
+        identity: args.identity,
+        field: FieldFrame::heading(args.heading),
+        origin: args.origin,
+        vertical_limit: args.vertical_limit,
+        over: args.end,
+    });
     if foreign.is_some() && args.watch.control {
         bail!(
             "--control: a foreign vehicle is steered by an operator's station, or by `gcs bridge --control`"
         );
     }
-    let (mut session, scenario) = match foreign {
-        Some(_) => {
+    let (mut session, scenario) = match &foreign {
+        Some(how) => {
             let mut scenario = args.camera.scenario(args.scenario.as_deref().unwrap_or("foreign"))?;
             scenario.scale.altitude_m = args.altitude.unwrap_or(scenario.scale.altitude_m);
             scenario.scale.metres_per_unit = args.field.unwrap_or(scenario.scale.metres_per_unit);
-            let plan = FlightPlan::of(&scenario, FieldFrame::heading(args.heading));
+            let plan = FlightPlan::of(&scenario, how);
             if args.dry_run {
                 crpl_sitl::outln!("{plan}");
                 return Ok(());
@@ -336,10 +360,7 @@ async fn fly(args: Fly) -> Result<()> {
     let mut crew = LoggedStation::new(station, folder, args.controller, None).shown_as(shown, live);
     options.ticks = Some(args.ticks.unwrap_or(scenario.horizon));
     let flown = match (foreign, session) {
-        (Some(stack), _) => {
-            let field = FieldFrame::heading(args.heading);
-            let Fly { sysid: system, speed, identity, end: over, .. } = args;
-            let how = Foreign { stack, system, speed, identity, field, over };
+        (Some(how), _) => {
             let flown;
             (flown, crew) = foreign::fly(&args.connect, &scenario, &how, &options, crew).await?;
             flown

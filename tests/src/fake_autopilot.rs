@@ -32,9 +32,12 @@ use crpl_sitl::link::dialect::{
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::command::CommandLong;
+use crpl_sitl::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet};
 use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
 use crpl_sitl::vehicle::geodesy::Site;
+
+use crate::fake_params::FakeParams;
 
 /// Whom it copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,6 +117,8 @@ pub struct Autopilot {
     pub deaf_to_modes: u32,
     /// What its clock is ahead of the time since it started, ms: one that runs for 49.7 days begins at 0 again.
     pub clock_ahead_ms: u32,
+    /// Its parameters.
+    pub params: FakeParams,
 }
 
 impl Autopilot {
@@ -151,6 +156,7 @@ impl Autopilot {
             heights: [f64::INFINITY, f64::NEG_INFINITY],
             deaf_to_modes: 0,
             clock_ahead_ms: 0,
+            params: if px4 { FakeParams::px4() } else { FakeParams::ardupilot() },
         }
     }
 
@@ -200,6 +206,17 @@ impl Autopilot {
     #[must_use]
     pub fn position(&self) -> [f64; 3] {
         self.position
+    }
+
+    /// Whether its motors may turn.
+    #[must_use]
+    pub fn is_armed(&self) -> bool {
+        self.armed
+    }
+
+    /// A gust that lifts it by so many metres.
+    pub fn lift(&mut self, metres: f64) {
+        self.position[2] -= metres;
     }
 
     /// Level, m/s.
@@ -385,6 +402,12 @@ impl Autopilot {
                 self.command(&ask, (packet.system, packet.component));
             } else if let Some(target) = SetPositionTargetLocalNed::of(&packet) {
                 self.target(&target);
+            } else if let Some(ask) = ParamRequestRead::of(&packet).filter(|ask| ask.target.system <= 1) {
+                self.params.answer(&ask, &mut self.encoder, &mut self.out);
+            } else if ParamRequestList::of(&packet).is_some_and(|ask| ask.target.system <= 1) {
+                self.params.list(&mut self.encoder, &mut self.out);
+            } else if let Some(asked) = ParamSet::of(&packet).filter(|asked| asked.target.system <= 1) {
+                self.params.set(&asked, &mut self.encoder, &mut self.out);
             } else if let Some(sync) = Timesync::of(&packet).filter(|sync| sync.tc1 == 0) {
                 let target = (packet.system, packet.component).into();
                 let answer = Timesync { tc1: (self.time * 1e9) as i64 + 1, ts1: sync.ts1, target };

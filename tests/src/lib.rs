@@ -9,6 +9,7 @@
 
 pub mod browser;
 pub mod fake_autopilot;
+pub mod fake_params;
 pub mod golden;
 pub mod interchange;
 pub mod program;

@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
 
+use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
 use crpl_gcs::flight::FlightEnd;
@@ -13,9 +14,17 @@ use crpl_gcs::station::Station;
 use crpl_gcs::station::models::Models;
 use crpl_gcs::station::pilot::Controller;
 use crpl_sitl::Scenario;
+use crpl_sitl::link::decoder::Decoder;
+use crpl_sitl::link::dialect::{COMMAND_LONG_DATA, MavCmd};
+use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::messages::View;
+use crpl_sitl::link::messages::command::CommandAck;
+use crpl_sitl::link::messages::telemetry::LocalPositionNed;
+use crpl_sitl::link::packet::Packet;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric};
 use crpl_sitl::vehicle::geodesy::Site;
 use tests::fake_autopilot::{Autopilot, Served, Stack};
+use tests::fake_params::FakeParams;
 use tests::program::{self, Program};
 
 const STACKS: [(Stack, guide::ForeignStack, &str); 2] = [
@@ -342,6 +351,69 @@ fn ctrl_c_asks_for_brake_until_it_is_acknowledged() {
     }
 }
 
+/// Report A3: whoever took over behind `--forward` lost the vehicle in that moment, even the answer to his command.
+#[test]
+fn who_takes_over_behind_a_flight_keeps_the_vehicle() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(Autopilot::new(Stack::ArduPilot, [3.0, -4.0], false), 8.0).unwrap();
+    let operator = UdpSocket::bind("127.0.0.1:0").unwrap();
+    operator.set_read_timeout(Some(program::PATIENCE)).unwrap();
+    let endpoint = served.endpoint(Stack::ArduPilot);
+    let forward = format!("udpout:{}", operator.local_addr().unwrap());
+    let out = folder.path().join("flight");
+    let args = ["fly", "--vehicle", "ardupilot", "--connect", &endpoint, "--speed", "8"];
+    let args = [&args[..], &["--out", out.to_str().unwrap(), "--forward", &forward]].concat();
+    let gcs = Program::start("gcs", &args, None).unwrap();
+    gcs.logs("at its height: CRPL flies").unwrap();
+    let (mut decoder, mut encoder, mut buffer) = (Decoder::default(), Encoder::new(254, 190), [0; 65_536]);
+    let mut ask = Vec::new();
+    let loiter = COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        param1: 1.0,
+        param2: 5.0,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    };
+    encoder.push(&mut ask, &loiter);
+    let mut hear = |wanted: &mut dyn FnMut(&Packet, SocketAddr) -> bool| loop {
+        let (length, from) = operator.recv_from(&mut buffer).unwrap();
+        if decoder.datagram(&buffer[..length]).iter().any(|packet| wanted(packet, from)) {
+            return;
+        }
+    };
+    hear(&mut |packet, from| {
+        operator.send_to(&ask, from).unwrap();
+        packet.system == 1
+    });
+    hear(&mut |packet, _| {
+        CommandAck::of(packet).is_some_and(|ack| ack.command == 176 && ack.target.system == 254)
+    });
+    gcs.logs("messages are passed on until").unwrap();
+    let mut places = 0;
+    hear(&mut |packet, _| {
+        places += u32::from(LocalPositionNed::of(packet).is_some());
+        places > 50
+    });
+    served.with(Autopilot::disarm);
+    let finished = gcs.wait().unwrap();
+    assert_eq!(finished.status.code(), Some(4), "{}", finished.stderr);
+    assert_eq!(served.with(|autopilot| autopilot.mode()), 5);
+}
+
+/// Report A11: parameters that a switch brings needed a second load of the same file.
+#[test]
+fn parameters_behind_switches_are_loaded_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(Autopilot::new(Stack::ArduPilot, [0.0, 0.0], false), 1.0).unwrap();
+    let file = folder.path().join("rangefinder.param");
+    std::fs::write(&file, "RNGFND1_MIN,0.5\nRNGFND1_MAX,9\nRNGFND1_TYPE,8\nWPNAV_SPEED,300\n").unwrap();
+    let endpoint = served.endpoint(Stack::ArduPilot);
+    let args = ["param", "--connect", &endpoint, "load", file.to_str().unwrap()];
+    let said = program::run("gcs", &args).unwrap().good().unwrap();
+    assert!(said.contains("4 set, 0 as they were, 0 refused"), "{said}");
+}
+
 /// Report A6: a configuration of the project's own climbed to 100 m and flew 390 m away, without a word.
 #[test]
 fn a_large_flight_needs_a_yes_and_says_where_it_goes() {
@@ -355,6 +427,95 @@ fn a_large_flight_needs_a_yes_and_says_where_it_goes() {
     let dry =
         program::run("gcs", &[&large[..], &["foreign", "--dry-run", "--altitude", "7"]].concat()).unwrap();
     assert!(dry.good().unwrap().contains("would climb to 7 m and fly in a square of 60 m"));
+}
+
+/// Report A6: what the vehicle allows by its own parameters and fence was not looked at.
+#[test]
+fn a_flight_beyond_the_vehicle_s_own_limits_is_refused_before_it_is_armed() {
+    let (copter, px4) = (FakeParams::ardupilot(), FakeParams::px4());
+    let fenced = copter.clone().with("FENCE_ENABLE", 1.0);
+    for (at, params, why) in [
+        (
+            0,
+            copter.clone().with("WPNAV_SPEED", 150.0),
+            "largest speed is 2.0 m/s, above the vehicle's WPNAV_SPEED of 1.5",
+        ),
+        (0, copter.clone().renamed().with("WP_SPD", 1.5), "above the vehicle's WP_SPD of 1.5 m/s"),
+        (0, copter.clone().with("WPNAV_ACCEL", 10.0), "above the vehicle's WPNAV_ACCEL of 0.1 m/s²"),
+        (0, fenced.clone().with("FENCE_ALT_MAX", 12.0), "above the vehicle's FENCE_ALT_MAX of 12.0 m"),
+        (0, fenced.with("FENCE_RADIUS", 30.0), "above the vehicle's FENCE_RADIUS of 30.0 m"),
+        (1, px4.clone().with("MPC_XY_VEL_MAX", 1.0), "above the vehicle's MPC_XY_VEL_MAX of 1.0 m/s"),
+        (1, px4.clone().with("MPC_TILTMAX_AIR", 0.5), "above the vehicle's MPC_TILTMAX_AIR of 0.5 degrees"),
+        (1, px4.clone().with("GF_MAX_VER_DIST", 9.0), "above the vehicle's GF_MAX_VER_DIST of 9.0 m"),
+        (1, px4.with("GF_MAX_HOR_DIST", 20.0), "above the vehicle's GF_MAX_HOR_DIST of 20.0 m"),
+    ] {
+        let (fake, stack, _) = STACKS[at];
+        let mut autopilot = Autopilot::new(fake, [-7.0, 21.0], true);
+        autopilot.params = params;
+        let mut armed = false;
+        let story = story_of(autopilot, stack, |_, autopilot, _| armed |= autopilot.is_armed());
+        let GuideEvent::Failed(_, told) = &story.end else { panic!("{why}: {:?}", story.end) };
+        assert!(told.contains(why) && told.contains("before the vehicle is armed"), "{why}: {told}");
+        assert!(!armed, "{why}");
+        assert!(
+            story.said.iter().any(|said| said.contains("the vehicle's own limits: ")),
+            "{:?}",
+            story.said
+        );
+    }
+}
+
+#[test]
+fn a_fence_that_is_off_and_limits_that_nobody_tells_stop_no_flight() {
+    let off = FakeParams::ardupilot().with("FENCE_ALT_MAX", 1.0).with("FENCE_RADIUS", 1.0);
+    for (params, word) in
+        [(off, "no fence"), (FakeParams::ardupilot().silent(), "the vehicle does not tell its limits")]
+    {
+        let mut autopilot = Autopilot::new(Stack::ArduPilot, [-7.0, 21.0], true);
+        autopilot.params = params;
+        let story = story_of(autopilot, guide::ForeignStack::Ardupilot, |_, _, _| {});
+        assert!(matches!(story.end, GuideEvent::Holding), "{word}: {:?}", story.end);
+        assert!(story.said.iter().any(|said| said.contains(word)), "{word}: {:?}", story.said);
+    }
+}
+
+#[test]
+fn a_field_lies_at_its_origin_and_the_vehicle_flies_to_its_start_first() {
+    for (fake, stack, name) in STACKS {
+        let how = Foreign { origin: Some([-20.0, 10.0]), ..Foreign::new(stack) };
+        let start = scenario().scale.ned_from_paper(scenario().start);
+        let start = [f64::from(start[0]) - 20.0, f64::from(start[1]) + 10.0];
+        let mut began = None;
+        let story = story_with(Autopilot::new(fake, [-7.0, 21.0], true), how, |_, autopilot, _| {
+            if autopilot.accelerations == 1 {
+                began.get_or_insert(autopilot.position());
+            }
+        });
+        assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?} {:?}", story.end, story.said);
+        assert!(story.station.score().unwrap().is(FlightOutcome::Reached), "{name}");
+        let [north, east, _] = began.unwrap();
+        assert!(
+            (north - start[0]).hypot(east - start[1]) < 1.0,
+            "{name} began at {north}, {east}: {start:?}"
+        );
+    }
+}
+
+/// Report A1, A6: there was no limit on the height.
+#[test]
+fn a_vehicle_that_leaves_its_height_is_stopped() {
+    for (fake, stack, name) in STACKS {
+        let mut blown = false;
+        let story = story((fake, stack), |_, autopilot, _| {
+            if autopilot.accelerations > 100 && !std::mem::replace(&mut blown, true) {
+                autopilot.lift(6.0);
+            }
+        });
+        assert!(matches!(story.end, GuideEvent::Holding), "{name}: {:?}", story.end);
+        let told = story.said.iter().any(|said| said.contains("m from its height: it is stopped"));
+        assert!(told, "{name}: {:?}", story.said);
+        assert!(story.station.score().unwrap().ticks < scenario().horizon, "{name}");
+    }
 }
 
 #[test]

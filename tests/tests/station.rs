@@ -396,6 +396,20 @@ fn a_full_disk_behind_stdout_is_an_error_and_no_panic() {
     assert!(error["error"].as_str().unwrap().contains("no-such-file.toml"), "{error}");
 }
 
+/// Report V13: a mistyped name of the key's file left the vehicle unsigned without a word.
+#[test]
+fn a_key_file_that_is_not_there_is_said_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let missing = folder.path().join("mistyped").to_str().unwrap().to_owned();
+    let args = ["--listen", "udpin:127.0.0.1:0", "--signing-key", &missing];
+    refused(
+        &program::run("sitl", &[&args[..], &["--signing", "required"]].concat()).unwrap(),
+        &["no key in"],
+    );
+    let (sitl, _) = program::sitl(&["--pace", "realtime", "--signing-key", &missing]).unwrap();
+    sitl.logs("unsigned until SETUP_SIGNING brings one").unwrap();
+}
+
 /// Item 6: a key is made, told from others, and never shown.
 #[test]
 fn a_key_is_made_and_known_by_its_fingerprint_alone() {

@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 
 use mavlink::{MavlinkVersion, Message, MessageData};
 
+use super::crc::{checksum, crc_extra};
 use super::dialect::MavMessage;
 
 /// First byte of a MAVLink 1 packet.
@@ -87,6 +88,19 @@ impl<'a> PacketRef<'a> {
     #[must_use]
     pub fn signed(&self) -> bool {
         self.is_v2() && self.raw[2] & SIGNED != 0
+    }
+
+    /// The same packet with another sequence number. `None` if its checksum cannot be made anew, because the
+    /// dialect does not know the message, or if it is signed.
+    #[must_use]
+    pub fn with_sequence(&self, sequence: u8) -> Option<Vec<u8>> {
+        let extra = crc_extra(self.id).filter(|_| self.known && !self.signed())?;
+        let mut raw = self.raw.to_vec();
+        raw[if self.is_v2() { 4 } else { 2 }] = sequence;
+        let end = raw.len().checked_sub(2)?;
+        let crc = checksum(&raw[1..end], extra).to_le_bytes();
+        raw[end..].copy_from_slice(&crc);
+        Some(raw)
     }
 
     /// System and component that the message is for; 0 is all, and so is a message without a target.
@@ -266,10 +280,38 @@ mod tests {
     use crate::link::dialect::{
         self, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MANUAL_CONTROL_DATA,
     };
+    use crate::link::encoder::Encoder;
+    use crate::link::splitter::Splitter;
 
     #[test]
     fn messages_have_the_dialect_s_names() {
         assert_eq!([0, 109, 0xFF_FFFF].map(message_name), [Some("HEARTBEAT"), Some("RADIO_STATUS"), None]);
+    }
+
+    #[test]
+    fn a_packet_with_another_number_is_what_its_sender_would_have_sent() {
+        let sent = |number: u8| {
+            let (mut encoder, mut all) = (Encoder::new(3, 68), Vec::new());
+            for _ in 0..=number {
+                all.clear();
+                encoder.push(&mut all, &COMMAND_ACK_DATA { target_system: 255, ..Default::default() });
+            }
+            all
+        };
+        let old = [0xFE, 9, 7, 1, 1, 0, 0, 0, 0, 0, 2, 3, 81, 3, 3];
+        let old = |number: u8| {
+            let bytes = [&old[..2], &[number], &old[3..]].concat();
+            [&bytes[..], &checksum(&bytes[1..], crc_extra(0).unwrap()).to_le_bytes()].concat()
+        };
+        for (before, after) in [(sent(200), sent(3)), (old(7), old(250))] {
+            let number = if after[0] == MAGIC_V2 { 3 } else { 250 };
+            let mut found = None;
+            Splitter::default().split(&before, |packet| found = packet.with_sequence(number));
+            assert_eq!(found, Some(after));
+        }
+        let mut unknown = sent(0);
+        unknown[9] = 0x7F;
+        Splitter::default().split(&unknown, |packet| assert_eq!(packet.with_sequence(1), None));
     }
 
     #[test]

@@ -91,6 +91,9 @@ use rates::Rates;
 pub const MAX_PEERS: usize = 64;
 /// How long a peer is silent before it makes room: stations send heartbeats each second.
 const SILENT: Duration = Duration::from_secs(3);
+/// How long a UDP peer is silent in real time before it is forgotten, as `gcs bridge` and mavp2p do: whoever is
+/// there sends a heartbeat each second, and a program that begins anew comes from another port each time.
+const FORGOTTEN: Duration = Duration::from_secs(60);
 /// Systems and components behind one peer whose sequence numbers are followed.
 const MAX_SENDERS: usize = 32;
 /// Least time between two texts of one kind.
@@ -621,6 +624,25 @@ impl Vehicle {
         let Some(address) = quietest.map(|(&address, _)| address) else { return false };
         self.forget(address);
         true
+    }
+
+    /// Forgets who has been silent for long. In lockstep nobody is: a station may think for as long as it likes.
+    fn forget_silent(&mut self) {
+        if self.period.is_none() {
+            return;
+        }
+        let silent = |peer: &Peer| !peer.fixed && peer.heard + FORGOTTEN <= self.now;
+        let gone: Vec<PeerId> =
+            self.peers.iter().filter(|(_, peer)| silent(peer)).map(|(&address, _)| address).collect();
+        for address in gone {
+            tracing::debug!("{address} is forgotten: silent for {} s", FORGOTTEN.as_secs());
+            self.tell_one(
+                address,
+                MavSeverity::MAV_SEVERITY_WARNING,
+                "silent for 60 s: link down. Send heartbeats",
+            );
+            self.forget(address);
+        }
     }
 
     fn forget(&mut self, address: PeerId) {

@@ -16,6 +16,7 @@ const LONGEST: usize = 280;
 impl Vehicle {
     /// A second has passed on the wall: all components say that they are there.
     pub fn beat(&mut self) {
+        self.forget_silent();
         for address in self.addresses() {
             self.heartbeat(address);
         }
@@ -151,6 +152,15 @@ impl Vehicle {
     /// Says something to all peers, however often.
     pub(super) fn tell_text(&mut self, severity: MavSeverity, text: &str) {
         self.tell_all(&dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() });
+    }
+
+    /// Says something to one peer.
+    pub(super) fn tell_one(&mut self, address: PeerId, severity: MavSeverity, text: &str) {
+        let Some(peer) = self.peers.get_mut(&address) else { return };
+        let text = dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+        let mut datagram = Vec::new();
+        peer.autopilot.push(&mut datagram, &text);
+        self.outbox.push_back((address, datagram));
     }
 
     /// Sends a message of the autopilot to all peers.

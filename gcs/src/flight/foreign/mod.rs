@@ -6,6 +6,8 @@
 //! | module | what it is | what it does not know |
 //! |---|---|---|
 //! | [`field`] | how the field lies on the ground, what is done at the end | the flight |
+//! | [`limits`] | what the vehicle allows by its own parameters | the flight |
+//! | [`plan`] | where a flight would be | the vehicle |
 //! | [`scene`] | telemetry to percepts, commands through the radio gate | protocols |
 //! | [`tracking`] | accelerations that are flown as they were meant, and the height | protocols |
 //! | [`guide`] | mode, arming, climb, setpoints in time | sockets, clocks |
@@ -14,6 +16,8 @@
 
 pub mod field;
 pub mod guide;
+pub mod limits;
+pub mod plan;
 pub mod scene;
 pub mod tracking;
 
@@ -38,6 +42,7 @@ use crate::tools::identity::Identity;
 use crate::watch::map::FieldPlace;
 use field::{FieldFrame, WhenOver};
 use guide::{ForeignStack, Guide, GuideEvent};
+pub use plan::FlightPlan;
 
 /// How long a vehicle is asked to hold its place at the end.
 const LAST_WORDS: Duration = Duration::from_secs(5);
@@ -55,6 +60,12 @@ pub struct Foreign {
     pub identity: Identity,
     /// How the field lies on the ground.
     pub field: FieldFrame,
+    /// Where its lower left corner is, north and east of the vehicle's own origin, m; `None`: where it begins is
+    /// the scenario's start.
+    pub origin: Option<[f32; 2]>,
+    /// How far above or below its height it may come before it is stopped, m; `None`:
+    /// [`FlightPlan::vertical_limit`].
+    pub vertical_limit: Option<f64>,
     /// What the vehicle does when its flight is over.
     pub over: WhenOver,
 }
@@ -64,52 +75,7 @@ impl Foreign {
     #[must_use]
     pub fn new(stack: ForeignStack) -> Self {
         let (identity, field, over) = (Identity::default(), FieldFrame::default(), WhenOver::Hold);
-        Self { stack, system: None, speed: 1.0, identity, field, over }
-    }
-}
-
-/// Where a vehicle will fly.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FlightPlan {
-    /// Above its start, m.
-    pub altitude_m: f64,
-    /// Side of the square, m.
-    pub field_m: f64,
-    /// Largest speed, m/s.
-    pub v_max: f64,
-    /// From north to the square's up, degrees clockwise.
-    pub heading: f64,
-}
-
-impl FlightPlan {
-    /// Of a scenario in a field.
-    #[must_use]
-    pub fn of(scenario: &Scenario, field: FieldFrame) -> Self {
-        let scale = &scenario.scale;
-        let v_max = scenario.dynamics.v_max * scale.mps_per_speed();
-        Self { altitude_m: scale.altitude_m, field_m: scale.metres_per_unit, v_max, heading: field.degrees }
-    }
-
-    /// Whether it is larger than what is flown without a question.
-    #[must_use]
-    pub fn is_large(&self) -> bool {
-        self.altitude_m > 50.0 || self.field_m > 150.0 || self.v_max > 10.0
-    }
-}
-
-impl std::fmt::Display for FlightPlan {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { altitude_m, field_m, v_max, heading } = self;
-        let up = if *heading == 0.0 {
-            "whose north is up".into()
-        } else {
-            format!("whose up is {heading:.0} degrees from north")
-        };
-        write!(
-            f,
-            "the vehicle would climb to {altitude_m:.0} m and fly in a square of {field_m:.0} m {up}, \
-             at {v_max:.1} m/s at most"
-        )
+        Self { stack, system: None, speed: 1.0, identity, field, origin: None, vertical_limit: None, over }
     }
 }
 

@@ -20,11 +20,24 @@ impl ForeignScene {
     /// The square laid so that `position` (north, east, m) is the scenario's start.
     #[must_use]
     pub fn new(scenario: Scenario, position: [f32; 2]) -> Self {
-        let start = scenario.scale.ned_from_paper(scenario.start);
+        let origin = Self::origin_at_start(&scenario, position);
+        Self::at(scenario, origin)
+    }
+
+    /// The square laid so that the paper's (0, 0) is at `origin`: north, east, m in the vehicle's local frame.
+    #[must_use]
+    pub fn at(scenario: Scenario, origin: [f32; 2]) -> Self {
         // The seed draws nothing: the other autopilot has gusts of its own.
         let mut sim = Sim::new(scenario, 0);
         sim.set_control(Control::External);
-        Self { sim, origin: [position[0] - start[0], position[1] - start[1]] }
+        Self { sim, origin }
+    }
+
+    /// The paper's (0, 0) if `position` is the scenario's start.
+    #[must_use]
+    pub fn origin_at_start(scenario: &Scenario, position: [f32; 2]) -> [f32; 2] {
+        let start = scenario.scale.ned_from_paper(scenario.start);
+        [position[0] - start[0], position[1] - start[1]]
     }
 
     /// The paper's (0, 0) in the vehicle's local frame: north, east, m.

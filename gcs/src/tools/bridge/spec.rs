@@ -24,11 +24,16 @@ pub enum NoSpec {
     #[error(transparent)]
     Endpoint(#[from] NoEndpoint),
     /// A rule that is not known.
-    #[error("`{0}` is no rule of an endpoint; there are group, rate, only, drop, only-from and drop-from")]
+    #[error(
+        "`{0}` is no rule of an endpoint; there are group, rate, only, drop, only-from, drop-from and renumber"
+    )]
     Rule(String),
     /// Neither the name of a message nor its number.
     #[error("`{0}` is no message's name or number")]
     Message(String),
+    /// Neither yes nor no.
+    #[error("`{0}` is neither yes nor no")]
+    Answer(String),
     /// Not a rate.
     #[error("`{0}` is no rate: bytes a second, above 0")]
     Rate(String),
@@ -49,6 +54,7 @@ impl FromStr for EndpointSpec {
                 "drop" => rules.drop = messages(value)?,
                 "only-from" => rules.only_from = messages(value)?,
                 "drop-from" => rules.drop_from = messages(value)?,
+                "renumber" => rules.renumber = yes(value)?,
                 _ => return Err(NoSpec::Rule(rule.into())),
             }
         }
@@ -67,6 +73,14 @@ fn rate(text: &str) -> Result<f64, NoSpec> {
     rate.ok_or_else(|| NoSpec::Rate(text.into()))
 }
 
+fn yes(text: &str) -> Result<bool, NoSpec> {
+    match text {
+        "yes" => Ok(true),
+        "no" => Ok(false),
+        _ => Err(NoSpec::Answer(text.into())),
+    }
+}
+
 fn messages(text: &str) -> Result<Vec<u32>, NoSpec> {
     text.split(',').map(|name| message_id(name).ok_or_else(|| NoSpec::Message(name.into()))).collect()
 }
@@ -78,7 +92,7 @@ mod tests {
     #[test]
     fn rules_stand_behind_the_endpoint() {
         let spec: EndpointSpec =
-            "serial:/dev/ttyUSB0:57600?group=radio&rate=2000&drop=ATTITUDE,105&only-from=heartbeat"
+            "serial:/dev/ttyUSB0:57600?group=radio&rate=2000&drop=ATTITUDE,105&only-from=heartbeat&renumber=yes"
                 .parse()
                 .unwrap();
         let expected = LinkRules {
@@ -86,6 +100,7 @@ mod tests {
             rate: Some(2000.0),
             drop: vec![30, 105],
             only_from: vec![0],
+            renumber: true,
             ..LinkRules::default()
         };
         assert_eq!((spec.to_string().as_str(), &spec.rules), ("serial:/dev/ttyUSB0:57600", &expected));
@@ -101,6 +116,7 @@ mod tests {
             ("udpin::1?rate=-1", "`-1` is no rate"),
             ("udpin::1?rate=1e999", "`1e999` is no rate"),
             ("udpin::1?drop=NO_SUCH", "`NO_SUCH` is no message"),
+            ("udpin::1?renumber=1", "neither yes nor no"),
             ("can:can0?rate=3", "is no endpoint"),
         ] {
             let error = text.parse::<EndpointSpec>().unwrap_err().to_string();

@@ -117,3 +117,24 @@ fn written(result: io::Result<usize>) -> io::Result<Option<usize>> {
         Err(error) => Err(error),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Report G9: a TCP peer whose machine is gone was never missed.
+    #[tokio::test]
+    async fn the_system_asks_a_silent_tcp_peer_whether_it_is_there() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let tcp = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (accepted, _) = listener.accept().await.unwrap();
+        // A second handle of the same socket.
+        let socket = socket2::Socket::from(accepted.into_std().unwrap());
+        let looked_at = socket.try_clone().unwrap();
+        let accepted = TcpStream::from_std(socket.into()).unwrap();
+        assert!(!looked_at.keepalive().unwrap());
+        let _stream = LinkStream::tcp(accepted);
+        assert!(looked_at.keepalive().unwrap());
+        drop(tcp);
+    }
+}

@@ -117,6 +117,47 @@ fn one_peer_too_many_is_refused_until_another_is_silent() {
     assert!(!bench.vehicle.peers.contains_key(&SocketAddr::from(([127, 0, 0, 1], 1000)).into()));
 }
 
+/// `sitl` grew by 101 KiB a minute: a program that began anew came from another port each time, and every peer
+/// that had ever been was kept, and sent to.
+#[test]
+fn who_has_gone_is_forgotten_in_real_time_and_told_why() {
+    let peer = |k: u16| PeerId::from(SocketAddr::from(([127, 0, 0, 1], 1000 + k)));
+    for real_time in [true, false] {
+        let mut bench = Bench::new();
+        if real_time {
+            bench.vehicle.start_streams(Duration::from_millis(400), bench.now);
+        }
+        bench.vehicle.connected(peer(500), bench.now);
+        let mut datagram = Vec::new();
+        Encoder::new(255, 190).push(&mut datagram, &dialect::HEARTBEAT_DATA::default());
+        let (mut most, mut told) = (0, 0);
+        for second in 0..300_u64 {
+            let now = Duration::from_secs(second);
+            // One that stays, and every 30 s one that comes, says a word, and goes.
+            bench.vehicle.datagram(&datagram, peer(0), now);
+            if second % 30 == 0 {
+                bench.vehicle.datagram(&datagram, peer(1 + second as u16 / 30), now);
+            }
+            bench.vehicle.stream(now);
+            bench.vehicle.beat();
+            most = most.max(bench.vehicle.peers.len());
+            while let Some((to, bytes)) = bench.vehicle.poll() {
+                let said = texts(&Decoder::default().datagram(&bytes));
+                let why = said.iter().any(|text| text.contains("silent for 60 s"));
+                assert!(!why || ![peer(0), peer(500)].contains(&to), "{to} is there");
+                told += usize::from(why);
+            }
+        }
+        assert!([peer(0), peer(500)].iter().all(|stays| bench.vehicle.peers.contains_key(stays)));
+        if real_time {
+            assert!(most <= 5 && told == 8, "{most} peers at once, {told} told");
+        } else {
+            assert_eq!((most, told), (12, 0), "in lockstep all may think");
+        }
+        assert_eq!(bench.vehicle.tally().packets.frames, 310, "what they have sent counts on");
+    }
+}
+
 #[test]
 fn a_mission_outlives_a_reboot() {
     let mut bench = Bench::new();

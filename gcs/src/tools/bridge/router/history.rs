@@ -143,6 +143,13 @@ impl History {
         }
     }
 
+    /// A frame went to this link in other bytes than it came: what comes back of it is a copy.
+    pub fn sent_as(&mut self, key: SourceKey, raw: &[u8], to: LinkSet, now: Duration) {
+        if let Some(past) = self.sources.get_mut(&key) {
+            past.push(fingerprint(0, raw), Passed { came: now, heard: LinkSet::default(), sent: to });
+        }
+    }
+
     /// How many sources are remembered.
     #[cfg(test)]
     pub fn sources(&self) -> usize {

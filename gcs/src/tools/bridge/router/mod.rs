@@ -12,11 +12,13 @@
 //! 6. While a flight controls the vehicle, setpoints from other links are not forwarded
 //!    ([`Router::take_control`]).
 //!
-//! Frames leave byte for byte as they came, so unknown messages, both versions and signatures pass.
+//! Frames leave byte for byte as they came, so unknown messages, both versions and signatures pass. The one
+//! exception is asked for by a link's rules: sequence numbers without the gaps that rule 4 makes (`numbers.rs`).
 //! What one link sends in a burst leaves in as few datagrams as it fits in; frames that came in one
 //! datagram are not parted if one datagram holds them.
 
 mod history;
+mod numbers;
 pub mod rules;
 
 use std::collections::BTreeMap;
@@ -33,6 +35,7 @@ use crpl_sitl::link::wire;
 
 use super::counters::Counters;
 use history::{CopyVerdict, History, LinkSet, MAX_SOURCES};
+use numbers::Numbers;
 use rules::{Budget, LinkRules};
 
 /// A peer of the bridge: one socket, one TCP connection, or one of the peers of a listening socket.
@@ -148,6 +151,7 @@ struct Link {
     doubts: BTreeMap<(u8, u8), Doubt>,
     out: Outbox,
     budget: Budget,
+    numbers: Numbers,
     counters: Counters,
 }
 
@@ -162,8 +166,27 @@ impl Link {
         self.doubts.get(&source).is_some_and(|doubt| doubt.withheld < WITHHELD)
     }
 
-    /// Sends, unless the link's filter or rate is against it.
-    fn offer(&mut self, frame: &PacketRef<'_>, group: u64, now: Duration) -> bool {
+    /// Sends, unless the link's filter or rate is against it; in which bytes, if the link has numbers of its own.
+    fn offer(&mut self, frame: &PacketRef<'_>, group: u64, now: Duration) -> Option<SentAs> {
+        let allowed = self.allows(frame, now);
+        if !self.rules.renumber {
+            return allowed.then(|| self.push(frame.raw, None, group));
+        }
+        if !allowed {
+            self.numbers.withhold(frame);
+            return None;
+        }
+        let renumbered = self.numbers.renumbered(frame);
+        Some(self.push(frame.raw, renumbered, group))
+    }
+
+    fn push(&mut self, raw: &[u8], renumbered: Option<Vec<u8>>, group: u64) -> SentAs {
+        self.out.push(renumbered.as_deref().unwrap_or(raw), group);
+        SentAs(renumbered)
+    }
+
+    /// Whether the link's filter and rate let a frame out.
+    fn allows(&mut self, frame: &PacketRef<'_>, now: Duration) -> bool {
         if !self.rules.sends(frame.id) {
             self.counters.filtered += 1;
             return false;
@@ -172,7 +195,6 @@ impl Link {
             self.counters.limited += 1;
             return false;
         }
-        self.out.push(frame.raw, group);
         true
     }
 
@@ -200,6 +222,9 @@ impl Link {
         (self.sources.entry(key).or_insert_with(|| Source::new(now)), new)
     }
 }
+
+/// The bytes in which a frame was sent, if they are others than those in which it came.
+struct SentAs(Option<Vec<u8>>);
 
 /// A request whose answer will tell a link's round trip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -296,6 +321,7 @@ impl Router {
             doubts: BTreeMap::new(),
             out: Outbox::default(),
             budget: Budget::default(),
+            numbers: Numbers::default(),
             counters,
         };
         self.links.insert(id, link);
@@ -365,27 +391,38 @@ impl Router {
         if !self.accepts(from, frame) || !self.is_new(from, frame, now) {
             return false;
         }
-        if frame.id == id::SETUP_SIGNING {
-            self.signing_kept += 1;
-            return false;
-        }
-        if self.suppresses_setpoint(from, frame) {
+        let is_key = frame.id == id::SETUP_SIGNING;
+        self.signing_kept += u64::from(is_key);
+        if is_key || self.suppresses_setpoint(from, frame) {
+            self.send(from, frame, &[], now);
             return false;
         }
         self.time(from, frame, now);
         let mut targets = self.targets(from, frame, now);
         self.withhold(&mut targets, frame);
-        let group = self.next_group;
-        let mut sent = LinkSet::default();
-        for id in targets {
-            if let Some(link) = self.links.get_mut(&id)
-                && link.offer(frame, group, now)
-            {
-                sent = sent.with(LinkSet::of(link.place));
-            }
-        }
-        self.history.sent(self.key(frame), sent);
+        self.send(from, frame, &targets, now);
         true
+    }
+
+    /// Sends a frame to these links, and to no other.
+    fn send(&mut self, from: LinkId, frame: &PacketRef<'_>, targets: &[LinkId], now: Duration) {
+        let (key, group) = (self.key(frame), self.next_group);
+        let (mut sent, mut others) = (LinkSet::default(), Vec::new());
+        for (id, link) in self.links.iter_mut().filter(|(id, _)| **id != from) {
+            if !targets.contains(id) {
+                if link.rules.renumber {
+                    link.numbers.withhold(frame);
+                }
+                continue;
+            }
+            let Some(SentAs(other)) = link.offer(frame, group, now) else { continue };
+            sent = sent.with(LinkSet::of(link.place));
+            others.extend(other.map(|raw| (raw, LinkSet::of(link.place))));
+        }
+        self.history.sent(key, sent);
+        for (raw, to) in others {
+            self.history.sent_as(key, &raw, to, now);
+        }
     }
 
     /// Whether the link's filter lets a frame in.

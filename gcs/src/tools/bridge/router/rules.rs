@@ -27,6 +27,9 @@ pub struct LinkRules {
     pub drop_from: Vec<u32>,
     /// Bytes a second that are sent to it. Heartbeats and messages with a target go first.
     pub rate: Option<f64>,
+    /// Whether its receivers count losses by sequence numbers: a frame that goes elsewhere then leaves no gap
+    /// (`numbers.rs`).
+    pub renumber: bool,
 }
 
 impl LinkRules {
