@@ -248,7 +248,7 @@ impl LimitReader {
             Some(Ok(param)) => {
                 let value = f64::from(param.value.as_f32()) * *unit;
                 if value.is_finite() {
-                    told.insert(*kind, Limit { name: name, value });
+                    told.insert(*kind, Limit { name, value });
                 }
                 false
             }
