@@ -99,3 +99,19 @@ fn pictures(which: std::ops::Range<usize>, draw: impl Fn(usize, &mut [f32]) + Sy
 fn slices(pictures: &[Vec<f32>]) -> Vec<&[f32]> {
     pictures.iter().map(Vec::as_slice).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[cfg(not(feature = "wgpu"))]
+    #[test]
+    fn a_device_that_is_not_built_in_is_refused_with_the_feature_to_build_it() {
+        let refused = EncoderDevice::Wgpu.passes(&LearnedConfig::default()).err();
+        let words = refused.map(|error| error.to_string());
+        assert_eq!(
+            words.as_deref(),
+            Some("device wgpu is not in this build: build with the cargo feature `wgpu`")
+        );
+    }
+}
