@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use crpl_model::predictor::observer::{Estimate, LatentObserver};
+use crpl_model::predictor::observer::{self, Estimate, LatentObserver};
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::camera::{COLOURS, Frame};
 use crpl_sitl::radio::Fates;
@@ -67,7 +67,9 @@ impl Belief {
         let window = config.window.max(world.least_window());
         Self {
             controllable: LatentObserver::new(c, window),
-            uncontrollable: (0..seen).map(|_| LatentObserver::new(u.clone(), window)).collect(),
+            uncontrollable: (0..seen)
+                .map(|_| LatentObserver::new(u.clone(), window).remembering(observer::STEADY_MEMORY))
+                .collect(),
             seen: None,
             estimates: None,
             latents: Latents { y_u: (0..seen).map(|_| [0.0; 2]).collect(), ..Latents::default() },
@@ -107,12 +109,26 @@ impl Belief {
             observer.observe(*u, &still);
         }
         self.controllable.observe(sighting.c, &flown);
-        let u = self.uncontrollable.iter().map(LatentObserver::estimate).collect::<Option<Vec<_>>>();
-        if let (Some(c), Some(u)) = (self.controllable.estimate(), u) {
+        if let Some((c, u)) = self.estimate() {
             self.latents = latents(c, &u);
             self.estimates = Some((c, u));
         }
         self.seen = Some(tick);
+    }
+
+    /// The UAV and each obstacle at the newest frame; `None` before the first.
+    fn estimate(&self) -> Option<(Estimate, Vec<Estimate>)> {
+        let mut u = self.uncontrollable.iter().map(LatentObserver::estimate).collect::<Option<Vec<_>>>()?;
+        // A camera that shakes moves all bodies alike: the first obstacle tells by how much.
+        let steady =
+            self.uncontrollable.first().and_then(|first| observer::steadied(&self.controllable, first));
+        match (steady, u.first_mut()) {
+            (Some((c, way)), Some(first)) => {
+                *first = way;
+                Some((c, u))
+            }
+            _ => Some((self.controllable.estimate()?, u)),
+        }
     }
 
     /// Normalised acceleration.
@@ -155,6 +171,12 @@ impl Belief {
     #[must_use]
     pub fn seen(&self) -> Option<Tick> {
         self.seen
+    }
+
+    /// The UAV and each obstacle at the newest frame; `None` before the first.
+    #[must_use]
+    pub fn estimates(&self) -> Option<(Estimate, &[Estimate])> {
+        self.estimates.as_ref().map(|(c, u)| (*c, u.as_slice()))
     }
 
     /// The UAV's observer.

@@ -164,11 +164,11 @@ impl Narrator {
 
     fn belief(&mut self, tick: u64, scene: &SeenScene) -> Option<ShownBelief> {
         let (world, believed) = (self.world.clone()?, scene.belief.as_ref()?);
-        let (c, u) = (believed.controllable(), believed.uncontrollable());
-        let (estimate, certainty) = (c.estimate()?, c.certainty()?);
+        let (estimate, u) = believed.estimates()?;
+        let certainty = believed.controllable().certainty()?;
         let probe = world.probe;
         let sigma = deviations(&probe.c, &certainty.y);
-        let obstacles = u.iter().filter_map(|u| Some(shown(&probe.u, u.estimate()?.y, 4)));
+        let obstacles = u.iter().map(|u| shown(&probe.u, u.y, 4));
         let mut belief = ShownBelief {
             vehicle: self.vehicle,
             tick,
@@ -181,10 +181,10 @@ impl Narrator {
             outage: Vec::new(),
             risk: Vec::new(),
         };
-        let y_u: Option<_> = u.iter().map(|u| u.estimate().map(|e| [e.y, e.before()].map(narrow))).collect();
+        let y_u = u.iter().map(|u| [u.y, u.before()].map(narrow)).collect();
         let still = Matrix2::zeros();
         let start = OutlookStart {
-            state: PlanningState { y_c: [estimate.y, estimate.before()].map(narrow), y_u: y_u? },
+            state: PlanningState { y_c: [estimate.y, estimate.before()].map(narrow), y_u },
             spread: [certainty.y, if certainty.moving { certainty.v } else { still }],
             reported_obstacle: scene.foresight.as_ref().and_then(|foresight| foresight.reported_obstacle),
         };
