@@ -171,6 +171,8 @@ pub struct Guide {
     /// A command to the newest percept has not come yet, and is late.
     undecided: bool,
     late: bool,
+    /// It has left its height, and brakes until the interval is over.
+    astray: bool,
     /// Round trips, s of the vehicle's time, newest last, and when the next is measured.
     trips: VecDeque<f64>,
     next_trip: Duration,
@@ -217,6 +219,7 @@ impl Guide {
             airborne: false,
             undecided: false,
             late: false,
+            astray: false,
             trips: VecDeque::new(),
             next_trip: Duration::ZERO,
             first_trip: None,
