@@ -22,7 +22,7 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::packet::Packet;
 
 use super::FlightPlan;
-use super::guide::ForeignStack;
+use super::stack::ForeignStack;
 use crate::tools::param::exchange::Read;
 use crate::tools::param::value::Encoding;
 use crate::tools::session::Exchange;
@@ -248,7 +248,7 @@ impl LimitReader {
             Some(Ok(param)) => {
                 let value = f64::from(param.value.as_f32()) * *unit;
                 if value.is_finite() {
-                    told.insert(*kind, Limit { name: *name, value });
+                    told.insert(*kind, Limit { name, value });
                 }
                 false
             }

@@ -20,18 +20,16 @@
 //! | file | what it is |
 //! |---|---|
 //! | `requests` | what it is asked for, and its answers |
-//! | `stack` | the autopilots and their modes |
 //! | `steps` | the steps, and what they wait for |
 //! | `setpoints` | what is sent in time |
 //! | `texts` | what the vehicle says |
 
 mod requests;
 mod setpoints;
-mod stack;
 mod steps;
 mod texts;
 
-pub use stack::ForeignStack;
+pub use super::stack::ForeignStack;
 
 use std::collections::VecDeque;
 use std::time::Duration;
