@@ -168,8 +168,8 @@ struct Fly {
     /// Where the upper edge of a foreign vehicle's field lies, degrees clockwise from north
     #[arg(help_heading = "Foreign vehicles", long, value_name = "DEGREES", default_value = "0", allow_negative_numbers = true, value_parser = degrees)]
     heading: f64,
-    /// Lower left corner of a foreign vehicle's field: metres north and east of the vehicle's own origin, to whose
-    /// start it then flies first [default: the field lies so that its start is where the vehicle is]
+    /// Lower left corner of a foreign vehicle's field, metres north and east of the vehicle's own origin; it flies to
+    /// the field's start first [default: the field lies so that its start is where the vehicle is]
     #[arg(help_heading = "Foreign vehicles", long, value_name = "NORTH,EAST", allow_hyphen_values = true, value_parser = place)]
     origin: Option<[f32; 2]>,
     /// How far above or below its height a foreign vehicle may come before it is stopped, m [default: 5, or half of

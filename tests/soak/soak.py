@@ -1,6 +1,7 @@
 """Many vehicles, stations that come and go, lossy links, a router that is restarted, disks that are full.
 
     soak.py --bin target/release --minutes 60
+    soak.py --bin target/release --peers 70
 
 One `sitl` with 20 vehicles; behind links that lose 5 % of the datagrams each way two `gcs bridge`, each of which
 logs to a full disk. One bridge is restarted again and again. Three stations come, ask the vehicles for things,
@@ -225,14 +226,36 @@ def links_of(metrics):
     return len({line.split('link="')[1].split('"')[0] for line in text.splitlines() if 'link="' in line})
 
 
+def crowd(vehicles, port, count):
+    """So many peers, one after the other, each for 2 s: what `sitl` grows by."""
+    for k in range(1, count + 1):
+        peer = Station(port, 0)
+        end = time.monotonic() + 2.0
+        while time.monotonic() < end:
+            now = time.monotonic()
+            if now - peer.beat > 1.0:
+                peer.beat = now
+                peer.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            peer.read(now)
+            time.sleep(0.01)
+        peer.socket.close()
+        if k % 10 == 0 or k == 1:
+            print(f"{k:3} peers one after the other: {vehicles.rss_kib()} KiB", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", required=True)
     parser.add_argument("--minutes", type=float, default=2.0)
+    parser.add_argument("--peers", type=int, help="in place of all that: so many peers, one after the other")
     flags = parser.parse_args()
     seconds = 60.0 * flags.minutes
     vehicles = Program(f"{flags.bin}/sitl", "--instances", str(VEHICLES), "--shared", "--open", "--listen", "udpin:127.0.0.1:0")
     port = int(vehicles.wait_for("listening on").rsplit(":", 1)[1].split()[0])
+    if flags.peers:
+        crowd(vehicles, port, flags.peers)
+        vehicles.stop()
+        return
     paths = [Relay(port), Relay(port)]
     for path in paths:
         path.start()

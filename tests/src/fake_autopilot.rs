@@ -612,7 +612,13 @@ impl Pace {
     fn advance(&mut self, autopilot: &mut Autopilot) -> Vec<u8> {
         let passed = self.last.elapsed().as_secs_f64() * self.factor;
         self.last = Instant::now();
-        let waits = autopilot.setpoint.map_or(f64::INFINITY, |(newest, _)| newest + AFTER_SETPOINT);
+        // A vehicle that somebody else flies waits for nobody.
+        let waits = match autopilot.setpoint {
+            Some((newest, _)) if autopilot.controlled() || autopilot.stack == Stack::Px4 => {
+                newest + AFTER_SETPOINT
+            }
+            _ => f64::INFINITY,
+        };
         self.time = (self.time + passed.min(LONGEST_STEP)).min(waits.max(autopilot.time));
         autopilot.advance(self.time, self.factor)
     }

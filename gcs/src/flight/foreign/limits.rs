@@ -22,7 +22,7 @@ use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::packet::Packet;
 
 use super::FlightPlan;
-use super::guide::ForeignStack;
+use super::stack::ForeignStack;
 use crate::tools::param::exchange::Read;
 use crate::tools::param::value::Encoding;
 use crate::tools::session::Exchange;

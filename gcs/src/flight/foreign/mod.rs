@@ -8,6 +8,7 @@
 //! | [`field`] | how the field lies on the ground, what is done at the end | the flight |
 //! | [`limits`] | what the vehicle allows by its own parameters | the flight |
 //! | [`plan`] | where a flight would be | the vehicle |
+//! | [`stack`] | the autopilots and their modes | the flight |
 //! | [`scene`] | telemetry to percepts, commands through the radio gate | protocols |
 //! | [`tracking`] | accelerations that are flown as they were meant, and the height | protocols |
 //! | [`guide`] | mode, arming, climb, setpoints in time | sockets, clocks |
@@ -19,6 +20,7 @@ pub mod guide;
 pub mod limits;
 pub mod plan;
 pub mod scene;
+pub mod stack;
 pub mod tracking;
 
 use std::path::PathBuf;
@@ -41,8 +43,9 @@ use crate::tools::bridge::tell;
 use crate::tools::identity::Identity;
 use crate::watch::map::FieldPlace;
 use field::{FieldFrame, WhenOver};
-use guide::{ForeignStack, Guide, GuideEvent};
+use guide::{Guide, GuideEvent};
 pub use plan::FlightPlan;
+use stack::ForeignStack;
 
 /// How long a vehicle is asked to hold its place at the end.
 const LAST_WORDS: Duration = Duration::from_secs(5);

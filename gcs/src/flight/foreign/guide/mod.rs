@@ -20,18 +20,16 @@
 //! | file | what it is |
 //! |---|---|
 //! | `requests` | what it is asked for, and its answers |
-//! | `stack` | the autopilots and their modes |
 //! | `steps` | the steps, and what they wait for |
 //! | `setpoints` | what is sent in time |
 //! | `texts` | what the vehicle says |
 
 mod requests;
 mod setpoints;
-mod stack;
 mod steps;
 mod texts;
 
-pub use stack::ForeignStack;
+pub use super::stack::ForeignStack;
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -176,6 +174,8 @@ pub struct Guide {
     /// A command to the newest percept has not come yet, and is late.
     undecided: bool,
     late: bool,
+    /// It has left its height, and brakes until the interval is over.
+    astray: bool,
     /// Round trips, s of the vehicle's time, newest last, and when the next is measured.
     trips: VecDeque<f64>,
     next_trip: Duration,
@@ -223,6 +223,7 @@ impl Guide {
             airborne: false,
             undecided: false,
             late: false,
+            astray: false,
             trips: VecDeque::new(),
             next_trip: Duration::ZERO,
             first_trip: None,

@@ -75,7 +75,7 @@ impl Guide {
                 let velocity = [place.velocity[0], place.velocity[1]].map(f64::from);
                 let here = [place.position[0], place.position[1]];
                 let room = self.scene.as_ref().map_or([[f64::INFINITY; 2]; 2], |scene| scene.room(here));
-                let wish = if self.late { self.tracker.against(dt) } else { self.wish };
+                let wish = if self.late || self.astray { self.tracker.against(dt) } else { self.wish };
                 let asked = self.tracker.step(wish, velocity, room, dt);
                 [message.vx, message.vy] = asked.velocity.map(|v| v as f32);
                 [message.afx, message.afy] = asked.accel.map(|a| a as f32);

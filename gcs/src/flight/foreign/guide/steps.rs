@@ -269,6 +269,11 @@ impl Guide {
             let why = format!("the link's round trip has grown to {trip:.2} s");
             return self.fail_held(FlightEnd::LinkLost, why, now);
         }
+        // At once, and not with the next interval: that one ends the flight.
+        let away = (f64::from(place.position[2]) - self.height()).abs();
+        if away > self.plan().vertical_limit_m && !std::mem::replace(&mut self.astray, true) {
+            self.say(format!("{away:.1} m from its height: it is stopped"));
+        }
         let period = self.period();
         let Some(scene) = self.scene.as_mut().filter(|_| place.boot >= self.next_tick) else { return };
         if self.undecided {
@@ -288,11 +293,7 @@ impl Guide {
         }
         let percept = scene.percept([north, east], [vn, ve]);
         let (outside, over) = (scene.outside(), scene.tick().0 >= self.ticks);
-        let astray = (f64::from(place.position[2]) - self.height()).abs();
-        let is_astray = astray > self.plan().vertical_limit_m;
-        if is_astray {
-            self.say(format!("{astray:.1} m from its height: it is stopped"));
-        }
+        let is_astray = self.astray;
         if outside > FENCE {
             let metres = outside * self.scenario.scale.metres_per_unit;
             self.say(format!("{metres:.0} m outside the field, out of the camera's sight: it is stopped"));

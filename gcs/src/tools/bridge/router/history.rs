@@ -102,6 +102,8 @@ pub(super) type SourceKey = Option<(u8, u8)>;
 #[derive(Debug, Clone, Default)]
 pub(super) struct History {
     sources: BTreeMap<SourceKey, Past>,
+    /// The same frames in the bytes in which they went to links with numbers of their own.
+    renumbered: BTreeMap<SourceKey, Past>,
 }
 
 impl History {
@@ -143,11 +145,18 @@ impl History {
         }
     }
 
-    /// A frame went to this link in other bytes than it came: what comes back of it is a copy.
-    pub fn sent_as(&mut self, key: SourceKey, raw: &[u8], to: LinkSet, now: Duration) {
-        if let Some(past) = self.sources.get_mut(&key) {
-            past.push(fingerprint(0, raw), Passed { came: now, heard: LinkSet::default(), sent: to });
+    /// A frame of a source went to a link in other bytes than it came.
+    pub fn sent_as(&mut self, key: SourceKey, raw: &[u8], now: Duration) {
+        if self.sources.contains_key(&key) {
+            let past = self.renumbered.entry(key).or_default();
+            past.push(fingerprint(0, raw), Passed { came: now, ..Passed::default() });
         }
+    }
+
+    /// Whether these bytes were sent so of late.
+    pub fn was_sent_as(&self, key: SourceKey, raw: &[u8], now: Duration, within: Duration) -> bool {
+        let past = self.renumbered.get(&key);
+        past.is_some_and(|past| !past.copies(fingerprint(0, raw), now.saturating_sub(within)).is_empty())
     }
 
     /// How many sources are remembered.
@@ -162,6 +171,7 @@ impl History {
             && let Some(oldest) = self.sources.iter().min_by_key(|(_, past)| past.newest).map(|(k, _)| *k)
         {
             self.sources.remove(&oldest);
+            self.renumbered.remove(&oldest);
         }
     }
 }

@@ -54,6 +54,8 @@ const WITHHELD: u8 = 12;
 const DOUBT_AGAIN: Duration = Duration::from_secs(60);
 /// Frames in a row with one number after which their sender does not count.
 const STILL: u8 = 4;
+/// So many numbers after a sender's newest, a frame may be its next.
+const NEXT: u8 = 8;
 /// Requests whose answers are waited for, to time them.
 const PENDING: usize = 64;
 
@@ -89,6 +91,11 @@ impl Source {
     /// Whether it counts its frames on, so that the same bytes twice are a copy.
     fn counts(&self) -> bool {
         self.moved && self.still < STILL
+    }
+
+    /// Whether a frame with this number may be the next one, even if some got lost.
+    fn precedes(&self, number: u8) -> bool {
+        (1..=NEXT).contains(&number.wrapping_sub(self.number))
     }
 
     fn numbered(&mut self, number: u8) {
@@ -417,11 +424,11 @@ impl Router {
             }
             let Some(SentAs(other)) = link.offer(frame, group, now) else { continue };
             sent = sent.with(LinkSet::of(link.place));
-            others.extend(other.map(|raw| (raw, LinkSet::of(link.place))));
+            others.extend(other);
         }
         self.history.sent(key, sent);
-        for (raw, to) in others {
-            self.history.sent_as(key, &raw, to, now);
+        for raw in others {
+            self.history.sent_as(key, &raw, now);
         }
     }
 
@@ -495,6 +502,13 @@ impl Router {
         let verdict = self.history.judge(key, frame.raw, place, counts, now, self.copies_within);
         link.counters.last_heard = Some(now);
         link.counters.duplicates += u64::from(verdict != CopyVerdict::New);
+        // What comes back by a ring with the number that it had on another link does not follow its sender's newest
+        // frame. A frame that does may have the bytes of an older one by chance: heartbeats are all alike.
+        let follows = link.sources.get(&source).is_some_and(|known| known.precedes(frame.sequence));
+        if !follows && self.history.was_sent_as(key, frame.raw, now, self.copies_within) {
+            link.counters.duplicates += u64::from(verdict == CopyVerdict::New);
+            return false;
+        }
         let knows = link.sources.contains_key(&source);
         if verdict == (CopyVerdict::Copy { echo: true }) && !knows {
             link.doubt(source, now);

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 
-use super::super::field::WhenOver;
+use super::field::WhenOver;
 
 /// The autopilot whose protocol a foreign vehicle follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
