@@ -361,7 +361,7 @@ impl LinkShell {
             std::fs::write(path, csv).with_context(|| format!("writing {}", path.display()))?;
         }
         let table = self.carrier.summary().table(args.summary, self.carrier.now());
-        say(columns::folded(&table, &summary::COLUMNS, columns::width()));
+        say(&columns::folded(&table, &summary::COLUMNS, columns::width()));
         let closed = self.ledger.take().map_or(Ok(()), FrameLedger::close);
         self.ledger_error.map_or(closed, Err).context("writing the ledger")
     }
