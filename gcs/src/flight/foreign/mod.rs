@@ -100,13 +100,13 @@ pub async fn fly<C: Crew + Send + 'static>(
 
 /// A crew on a thread of its own: a slow decision holds up neither setpoints nor heartbeats.
 struct ControllerThread<C> {
-    ask: std::sync::mpsc::Sender<Question>,
+    ask: std::sync::mpsc::Sender<CrewQuestion>,
     answers: mpsc::UnboundedReceiver<Result<Decision>>,
     thread: JoinHandle<C>,
 }
 
 /// What a crew is told and asked.
-enum Question {
+enum CrewQuestion {
     /// How the field lies.
     Located(FieldPlace),
     /// Which command is the answer?
@@ -121,17 +121,17 @@ struct Decision {
 
 impl<C: Crew + Send + 'static> ControllerThread<C> {
     fn seat(mut crew: C) -> Self {
-        let (ask, asked) = std::sync::mpsc::channel::<Question>();
+        let (ask, asked) = std::sync::mpsc::channel::<CrewQuestion>();
         let (answer, answers) = mpsc::unbounded_channel();
         let thread = std::thread::spawn(move || {
             let (mut first, mut located) = (true, None);
             for question in asked {
                 let percept = match question {
-                    Question::Located(place) => {
+                    CrewQuestion::Located(place) => {
                         located = Some(place);
                         continue;
                     }
-                    Question::Percept(percept) => percept,
+                    CrewQuestion::Percept(percept) => percept,
                 };
                 let tlog = if std::mem::take(&mut first) { crew.begin() } else { Ok(None) };
                 if let Some(place) = located.take() {
@@ -186,14 +186,14 @@ async fn fly_with<C>(
                     arrived = Instant::now();
                     flight.wall = arrived - *begun.get_or_insert(arrived);
                     flight.last = Some(percept.clone());
-                    if bench.ask.send(Question::Percept(percept)).is_err() {
+                    if bench.ask.send(CrewQuestion::Percept(percept)).is_err() {
                         guide.controller_failed(start.elapsed());
                     }
                 }
                 GuideEvent::Located(origin) => {
                     let place = FieldPlace { origin, heading: foreign.field.degrees };
                     // A crew that is gone is missed at the next percept.
-                    let _ = bench.ask.send(Question::Located(place));
+                    let _ = bench.ask.send(CrewQuestion::Located(place));
                 }
                 GuideEvent::Over(percept) => flight.last = Some(percept),
                 GuideEvent::Holding => {

@@ -40,6 +40,7 @@ use crpl_sitl::link::links::{Arrival, BUFFER, Backlog, LinkOptions, Links, UdpPe
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::splitter::Splitter;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use crpl_sitl::program::timing::Stopwatch;
 use crpl_sitl::radio::air::config::file::table;
@@ -359,7 +360,8 @@ impl LinkShell {
             let csv = self.carrier.whereabouts().track().to_csv();
             std::fs::write(path, csv).with_context(|| format!("writing {}", path.display()))?;
         }
-        say(&self.carrier.summary().table(args.summary, self.carrier.now()));
+        let table = self.carrier.summary().table(args.summary, self.carrier.now());
+        say(&columns::folded(&table, &summary::COLUMNS, columns::width()));
         let closed = self.ledger.take().map_or(Ok(()), FrameLedger::close);
         self.ledger_error.map_or(closed, Err).context("writing the ledger")
     }

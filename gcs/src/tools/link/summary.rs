@@ -16,6 +16,9 @@ use serde_json::Value;
 use super::ledger::name_of;
 use crate::tools::bridge::counters::export;
 
+/// Widths of the table's columns.
+pub const COLUMNS: [usize; 11] = [38, 9, 11, 8, 8, 8, 8, 10, 10, 10, 9];
+
 /// One kind of message on one way.
 #[derive(Debug, Clone, Default)]
 struct KindRow {

@@ -9,11 +9,13 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`recording`] | a recording as records |
+//! | [`reports`] | a record as the vehicle's report |
 //! | [`show`] | what a page shows of a replay |
 
 #![expect(clippy::disallowed_methods, reason = "a shell: it sends at the recorded times")]
 
 pub mod recording;
+pub mod reports;
 pub mod show;
 
 use std::collections::BTreeSet;
@@ -36,7 +38,7 @@ use crpl_sitl::link::wire::{self, Clock};
 use crpl_sitl::link::{AUTOPILOT, MessageData, RADIO, STATION_SYSTEM};
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{interrupted, speed};
-use crpl_sitl::radio::message::{Held, LinkReport, Telemetry};
+use crpl_sitl::radio::message::Telemetry;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::geodesy;
 use serde_json::Value;
@@ -47,6 +49,8 @@ use crate::tools::tlog;
 use crate::watch::WatchFlags;
 use crate::watch::feed::Feed;
 use crate::watch::map::MapFlags;
+pub use reports::report;
+
 use recording::ReplayedRecording;
 use show::ReplayShow;
 
@@ -315,21 +319,6 @@ fn told(records: &[Record], scenario: &Scenario) -> Result<Script> {
         script.push((Duration::from_secs_f64(seconds), datagram));
     }
     Ok(script)
-}
-
-/// What the vehicle reported at the end of an interval.
-#[must_use]
-pub fn report(record: &Record, scenario: &Scenario) -> Telemetry {
-    let (scale, a_max) = (&scenario.scale, scenario.dynamics.a_max);
-    let accel = scale.ned_from_paper_acceleration(record.flown * a_max);
-    Telemetry {
-        tick: record.tick.next(),
-        position: scale.ned_from_paper(record.r_next),
-        velocity: scale.ned_from_paper_velocity(record.v_next),
-        obstacles: record.obstacles.iter().map(|place| scale.ned_from_paper(*place)).collect(),
-        held: record.flown_tick.map(|tick| Held { tick, accel }),
-        link: Some(LinkReport { snr_db: record.snr_db, power: record.power, outage: record.outage }),
-    }
 }
 
 /// As ArduCopter in GUIDED, armed and in the air.

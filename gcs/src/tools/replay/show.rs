@@ -11,7 +11,7 @@ use crpl_sitl::sim::record::Record;
 use serde_json::Value;
 
 use super::recording::ReplayedRecording;
-use super::report;
+use super::reports::report;
 use crate::tools::spotter::Spotter;
 use crate::watch::feed::{Feed, ShownVehicle, WatchEvent};
 use crate::watch::narrator::{Narrator, SeenScene, StationSight};

@@ -166,6 +166,7 @@ function showHello() {
   find("#title").title = [scenario.name, hello?.revision].filter(Boolean).join(", ") + seed;
   document.title = hello?.title ?? "CRPL";
   find("#field-title").textContent = store.local ? "Map" : "Field";
+  find("#picture-up").textContent = store.geo?.heading ? "up as in the field" : "north up";
   find("#control").hidden = !(hello?.control && page.live);
   find("#rate-title").textContent = hello?.rate_unit ? `Rate, ${hello.rate_unit}` : "Rate";
   showScale();
@@ -220,8 +221,9 @@ function describeField(flight) {
 /** The slower parts of the page, some times a second. */
 function showPanels(now) {
   const flight = store.flights.get(page.selected);
-  if (page.helloAt !== store.seen.hello || page.flights !== store.flights.size) {
+  if (page.helloAt !== store.seen.hello || page.geoAt !== store.seen.geo || page.flights !== store.flights.size) {
     page.helloAt = store.seen.hello;
+    page.geoAt = store.seen.geo;
     page.flights = store.flights.size;
     showHello();
   }

@@ -103,7 +103,7 @@ class FieldView {
     }
     if (field) this.paintShadow(context, field);
     this.grid(context);
-    if (store.rings.length > 0) this.buildings(context);
+    if (store.buildings.length > 0) this.buildings(context);
     this.places(context);
     this.scaleBar(context);
   }
@@ -194,18 +194,20 @@ class FieldView {
     context.beginPath();
     context.rect(this.map.x(west), this.map.y(north), scale * (east - west), scale * (north - south));
     context.clip();
-    context.beginPath();
-    for (const ring of this.store.rings) {
-      ring.forEach(([x, y], k) => {
-        if (k === 0) context.moveTo(this.map.x(x), this.map.y(y));
-        else context.lineTo(this.map.x(x), this.map.y(y));
-      });
-      context.closePath();
-    }
     context.fillStyle = this.theme.obstacle;
-    context.fill("evenodd");
     context.strokeStyle = this.theme.obstacleEdge;
-    context.stroke();
+    for (const rings of this.store.buildings) {
+      context.beginPath();
+      for (const ring of rings) {
+        ring.forEach(([x, y], k) => {
+          if (k === 0) context.moveTo(this.map.x(x), this.map.y(y));
+          else context.lineTo(this.map.x(x), this.map.y(y));
+        });
+        context.closePath();
+      }
+      context.fill("evenodd");
+      context.stroke();
+    }
     context.restore();
   }
 

@@ -40,23 +40,20 @@ function turned([east, north], heading) {
   return [cos * east - sin * north, cos * north + sin * east];
 }
 
-/** The outer and inner rings of all polygons of a GeoJSON object, in metres of the frame that a `geo` line tells. */
-function ringsOf(geojson, { origin, heading = 0 }) {
-  const rings = [];
+/** All polygons of a GeoJSON object, each a list of rings, in metres of the frame that a `geo` line tells. */
+function polygonsOf(geojson, { origin, heading = 0 }) {
+  const found = [];
   const walk = (node) => {
     if (!node) return;
     for (const feature of node.features ?? []) walk(feature.geometry);
     for (const geometry of node.geometries ?? []) walk(geometry);
     if (node.geometry) walk(node.geometry);
     const polygons = { Polygon: [node.coordinates], MultiPolygon: node.coordinates }[node.type] ?? [];
-    for (const polygon of polygons) {
-      for (const ring of polygon) {
-        rings.push(ring.map(([longitude, latitude]) => turned(metresFromDegrees([latitude, longitude], origin), heading)));
-      }
-    }
+    const place = ([longitude, latitude]) => turned(metresFromDegrees([latitude, longitude], origin), heading);
+    for (const polygon of polygons) found.push(polygon.map((ring) => ring.map(place)));
   };
   walk(geojson);
-  return rings;
+  return found;
 }
 
 /** The largest of 1, 2 and 5 times a power of ten that is no more than `value`. */
@@ -73,7 +70,7 @@ function localBounds(store) {
   const [west, south, east, north] = store.extent;
   if (west > east) return [-50, -50, 50, 50];
   // Never less than this across; rounded, so that a flight does not shake the map.
-  const least = store.rings.length > 0 ? 150 : 20;
+  const least = store.buildings.length > 0 ? 150 : 20;
   const span = Math.max(east - west, north - south);
   const step = niceBelow(Math.max(span, least) / 4);
   const grow = step / 2 + Math.max(0, least - span) / 2;

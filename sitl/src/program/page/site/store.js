@@ -79,7 +79,7 @@ class Store {
     this.curves = new Map();
     this.points = [];
     this.geo = null;
-    this.rings = [];
+    this.buildings = [];
     this.end = null;
     this.extent = [Infinity, Infinity, -Infinity, -Infinity];
   }
@@ -190,9 +190,9 @@ Store.kinds = {
   point: (store, m) => store.points.push(m),
   geo(store, m) {
     store.geo = m;
-    const rings = m.buildings ? ringsOf(m.buildings, m) : [];
     const unit = store.local ? 1 : (store.scenario.scale?.metres_per_unit ?? 1);
-    store.rings = rings.map((ring) => ring.map(([x, y]) => [x / unit, y / unit]));
+    const polygons = m.buildings ? polygonsOf(m.buildings, m) : [];
+    store.buildings = polygons.map((rings) => rings.map((ring) => ring.map(([x, y]) => [x / unit, y / unit])));
   },
   end(store, m) {
     store.end = m;
