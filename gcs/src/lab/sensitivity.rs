@@ -28,7 +28,8 @@ use crate::lab::report::claims;
 use crate::lab::report::rows::VerdictRow;
 use crate::lab::report::verdict::Verdict;
 use crate::lab::sweep::episode::SweepEpisode;
-use crate::lab::sweep::plan::{Overrides, Shard, SweepFile, SweepModels, SweepPlan};
+use crate::lab::sweep::axis::SweepPoint;
+use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels, SweepPlan};
 use crate::lab::tune::tuned;
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
@@ -181,7 +182,7 @@ fn fly(args: &Sensitivity, done: &mut Vec<Outcome>) -> Result<()> {
     let mut file: File = OpenOptions::new().create(true).append(true).open(&path).with_context(opening)?;
     let all = 2 * OMITTED.len() as u64 + args.draws;
     let mine: Vec<u64> = (0..all)
-        .filter(|n| n % args.shard.of == args.shard.number - 1 && done.iter().all(|o| o.world != *n))
+        .filter(|n| args.shard.has(*n) && done.iter().all(|o| o.world != *n))
         .collect();
     let bar = progress::bar("worlds", mine.len() as u64);
     for n in mine {
@@ -250,7 +251,7 @@ fn one(
         let mut episodes = Vec::new();
         for contender in &contenders {
             let flown: Result<Vec<SweepEpisode>> =
-                seeds.clone().into_par_iter().map(|seed| SweepEpisode::fly(contender, x, seed)).collect();
+                seeds.clone().into_par_iter().map(|seed| SweepEpisode::fly(contender, SweepPoint::on(x), seed)).collect();
             episodes.extend(flown?);
         }
         let plan = plan(name, x, args.episodes)?;

@@ -14,6 +14,7 @@
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`log`] | the log on stderr |
 //! | [`progress`] | progress bars, and lines where there is no terminal |
+//! | [`shard`] | one machine's share of a computation |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
@@ -28,6 +29,7 @@ pub mod flight_log;
 pub mod log;
 pub mod progress;
 pub mod renamed;
+pub mod shard;
 pub mod shell;
 pub mod terminal;
 pub mod timing;

@@ -33,7 +33,7 @@ use crpl_sitl::program::terminal::StopSignal;
 use crate::lab::policies;
 use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
-use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
+use crate::lab::sweep::plan::{Overrides, SweepFile};
 use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::{Controller, ControllerParser};
 use page::Page;

@@ -6,6 +6,7 @@ use std::fmt::Write;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
+use super::axis::SweepPoint;
 use super::episode::SweepEpisode;
 use super::plan::{SweepPlan, UncoveredPoint};
 use crate::station::pilot::Controller;
@@ -20,8 +21,9 @@ pub const SHOWN: [FlightOutcome; 2] = [FlightOutcome::Reached, FlightOutcome::Be
 pub struct TableRow {
     /// Name of the sweep.
     pub sweep: String,
-    /// Value of the axis.
-    pub x: f64,
+    /// Value of the axis, and of the second one.
+    #[serde(flatten)]
+    pub point: SweepPoint,
     /// Who flew.
     pub controller: Controller,
     /// Flights.
@@ -49,8 +51,11 @@ impl TableRow {
         for metric in Metric::ALL {
             let mean = &self.means[metric];
             feed.send(&WatchEvent::Point {
-                x: self.x,
-                controller: self.controller.to_string(),
+                x: self.point.x,
+                controller: match self.point.y {
+                    None => self.controller.to_string(),
+                    Some(y) => format!("{} at {y}", self.controller),
+                },
                 metric: metric.key().into(),
                 value: mean.mean,
                 low: mean.ci[0],
@@ -64,16 +69,17 @@ impl TableRow {
 /// of the plan.
 #[must_use]
 pub fn rows(plan: &SweepPlan, episodes: &[SweepEpisode]) -> Vec<TableRow> {
-    let flights = episodes.len() / (plan.points.len() * plan.controllers.len()).max(1);
+    let grid = plan.grid();
+    let flights = episodes.len() / (grid.len() * plan.controllers.len()).max(1);
     let resamples = Resamples::of(flights);
     let mut rows = Vec::new();
-    for x in &plan.points {
+    for point in grid {
         let of = |controller: Controller| -> Vec<&SweepEpisode> {
-            episodes.iter().filter(|e| e.x == *x && e.controller == controller).collect()
+            episodes.iter().filter(|e| e.point == point && e.controller == controller).collect()
         };
         let crpl = plan.controllers.contains(&Controller::Crpl).then(|| of(Controller::Crpl));
         for controller in &plan.controllers {
-            rows.push(row(plan, *x, *controller, &of(*controller), crpl.as_deref(), &resamples));
+            rows.push(row(plan, point, *controller, &of(*controller), crpl.as_deref(), &resamples));
         }
     }
     rows
@@ -81,7 +87,7 @@ pub fn rows(plan: &SweepPlan, episodes: &[SweepEpisode]) -> Vec<TableRow> {
 
 fn row(
     plan: &SweepPlan,
-    x: f64,
+    point: SweepPoint,
     controller: Controller,
     flights: &[&SweepEpisode],
     crpl: Option<&[&SweepEpisode]>,
@@ -100,7 +106,7 @@ fn row(
     });
     TableRow {
         sweep: plan.name.clone(),
-        x,
+        point,
         controller,
         episodes: flights.len() as u64,
         means: PerMetric::from_fn(|m| Mean::of(&values(m, flights))),
@@ -116,19 +122,21 @@ fn row(
 /// policies.
 #[must_use]
 pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
-    let mut text = String::from("sweep,x,controller,episodes,policy_covers");
+    let second = if plan.second.is_some() { ",y" } else { "" };
+    let mut text = format!("sweep,x{second},controller,episodes,policy_covers");
     FlightOutcome::ALL.iter().for_each(|outcome| text.extend([",", outcome.key()]));
     for m in Metric::ALL.map(Metric::key) {
         let _ = write!(text, ",{m}_mean,{m}_sd,{m}_lo,{m}_hi,{m}_ratio,{m}_ratio_lo,{m}_ratio_hi");
     }
     text.push('\n');
     for row in rows {
-        let TableRow { sweep, x, controller, episodes, .. } = row;
+        let TableRow { sweep, point, controller, episodes, .. } = row;
         let covered = match controller.flies_policies() {
-            true => plan.uncovered.iter().all(|point| point.x != *x).to_string(),
+            true => plan.uncovered.iter().all(|far| far.point() != *point).to_string(),
             false => String::new(),
         };
-        let _ = write!(text, "{sweep},{x},{controller},{episodes},{covered}");
+        let _ = write!(text, "{sweep},{}", cells(*point, ","));
+        let _ = write!(text, ",{controller},{episodes},{covered}");
         row.shares.iter().for_each(|share| text += &format!(",{share}"));
         for (m, Mean { mean, ci, sd }) in row.means.iter() {
             let _ = write!(text, ",{mean},{sd},{},{}", ci[0], ci[1]);
@@ -142,6 +150,24 @@ pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// The values of a point, one after the other.
+fn cells(point: SweepPoint, between: &str) -> String {
+    let second = point.y.map(|y| format!("{between}{y}")).unwrap_or_default();
+    format!("{}{second}", point.x)
+}
+
+/// The same in columns.
+fn padded(point: SweepPoint) -> String {
+    point.y.map_or_else(|| point.x.to_string(), |y| format!("{}{y:>10}", point.x))
+}
+
+/// The first columns of a line of the text.
+fn start(point: &str, controller: &str) -> String {
+    // Two axes: the second ends ten columns further.
+    let width = if point.contains(' ') { 18 } else { 8 };
+    format!("{point:>width$}  {controller:<18}")
 }
 
 /// Mean with its interval, or `= all` where every flight has the same value, with the decimals that are worth
@@ -172,7 +198,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let mut out = format!(
         "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval],\n= all: the same in every flight; reached and below: of all flights\n",
         plan.name,
-        plan.axis,
+        plan.axes(),
         rows.first().map_or(0, |r| r.episodes),
         plan.first_seed
     );
@@ -180,7 +206,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
                 metrics: &mut dyn Iterator<Item = Metric>,
                 width: fn(Metric) -> usize,
                 tail: &str| {
-        let _ = write!(out, "{:>8}  {:<18}", "x", "controller");
+        out.push_str(&start(if plan.second.is_some() { "x         y" } else { "x" }, "controller"));
         for m in metrics {
             let _ = write!(out, "{:>width$}", m.key(), width = width(m));
         }
@@ -189,7 +215,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let [reached, below] = SHOWN.map(FlightOutcome::key);
     head(&mut out, &mut Metric::ALL.into_iter(), mean_width, &format!("{reached:>10}{below:>8}"));
     for row in rows {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
+        out.push_str(&start(&padded(row.point), row.controller.label()));
         for (m, mean) in row.means.iter() {
             let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
@@ -204,7 +230,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         head(&mut out, &mut Metric::compared(), |_| 22, "");
     }
     for row in others() {
-        let _ = write!(out, "{:>8}  {:<18}", row.x, row.controller.label());
+        out.push_str(&start(&padded(row.point), row.controller.label()));
         for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
             let _ = write!(out, "{:>22}", ratio_cell(&ratio));
         }
@@ -218,12 +244,9 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
 pub fn uncovered(plan: &SweepPlan) -> String {
     let mut out = String::new();
     for point in &plan.uncovered {
-        let UncoveredPoint { x, policy, mismatch } = point;
-        let _ = writeln!(
-            out,
-            "\nat {} = {x} crpl flies policies of another world ({policy}): {mismatch}",
-            plan.axis
-        );
+        let UncoveredPoint { policy, mismatch, .. } = point;
+        let at = plan.at(point.point());
+        let _ = writeln!(out, "\nat {at} crpl flies policies of another world ({policy}): {mismatch}");
     }
     out
 }
