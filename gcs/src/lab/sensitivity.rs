@@ -16,6 +16,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::units::noise::{Noise, Stream};
 use rand::RngExt;

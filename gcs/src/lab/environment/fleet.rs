@@ -322,7 +322,7 @@ mod tests {
         assert!(matches!(with(&FleetPlan { vehicles: 0, ..PLAN }), Err(FleetError::Empty)));
         assert!(matches!(with(&FleetPlan { b_dt: f64::NAN, ..PLAN }), Err(FleetError::Bandwidth(_))));
         let mut fleet = OpenFleet::new(&scenario, &FlightView::State, &PLAN, 1).unwrap();
-        let mut flown = |fleet: &mut OpenFleet| {
+        let flown = |fleet: &mut OpenFleet| {
             fleet.reset(7);
             (0..30).map(|_| fleet.step(&[[0.7, 0.2, 1.0]; 3])).collect::<Vec<_>>()
         };

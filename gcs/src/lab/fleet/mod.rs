@@ -126,6 +126,7 @@ fn percept(field: &FleetField<Commanded>, n: usize, airborne: &[usize], states: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crpl_sitl::Scenario;
     use crate::station::models::Models;
     use crate::station::pilot::Controller;
 

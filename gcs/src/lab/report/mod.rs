@@ -28,6 +28,7 @@ use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 
 use crpl_sitl::program::flight_log;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
 
 use crate::lab::policies;

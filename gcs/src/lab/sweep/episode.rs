@@ -167,7 +167,7 @@ mod tests {
             for (axes, y) in [(1, None), (2, Some(x / 3.0))] {
                 let point = SweepPoint { x, y };
                 let episode = SweepEpisode { point, controller: Controller::Ucc, seed, metrics, outcomes };
-                let table = [super::line(SweepEpisode::head(axes)), episode.line()].concat();
+                let table = [line(SweepEpisode::head(axes)), episode.line()].concat();
                 prop_assert_eq!(SweepEpisode::read(&table).unwrap(), [episode]);
             }
         }

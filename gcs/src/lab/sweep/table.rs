@@ -215,7 +215,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
     let [reached, below] = SHOWN.map(FlightOutcome::key);
     head(&mut out, &mut Metric::ALL.into_iter(), mean_width, &format!("{reached:>10}{below:>8}"));
     for row in rows {
-        out.push_str(&start(&padded(row.point), row.controller.label()));
+        out.push_str(&start(&padded(row.point), &row.controller.label()));
         for (m, mean) in row.means.iter() {
             let _ = write!(out, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
@@ -230,7 +230,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow]) -> String {
         head(&mut out, &mut Metric::compared(), |_| 22, "");
     }
     for row in others() {
-        out.push_str(&start(&padded(row.point), row.controller.label()));
+        out.push_str(&start(&padded(row.point), &row.controller.label()));
         for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
             let _ = write!(out, "{:>22}", ratio_cell(&ratio));
         }
