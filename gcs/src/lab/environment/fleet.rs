@@ -273,7 +273,7 @@ mod tests {
         let rcc = Contender::new(&models, Controller::Rcc, &scenario).unwrap();
         let heads = models.world.station_heads(&scenario);
         let want = fleet::fly(&rcc, &heads, &PLAN, 5).unwrap();
-        assert!(want.collisions == 0 && want.nearest < 0.3, "{want:?}");
+        assert!(want.nearest < 0.3, "the test needs vehicles that meet: {want:?}");
 
         let mut fleet = OpenFleet::new(&scenario, &FlightView::State, &PLAN, 5).unwrap();
         let mut stations = vec![rcc.station().unwrap(); 3];
