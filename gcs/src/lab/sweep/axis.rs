@@ -3,7 +3,6 @@
 use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
-use crpl_sitl::Scenario;
 use crpl_sitl::scenario::keys::entry;
 use serde::{Deserialize, Serialize};
 
@@ -124,11 +123,10 @@ pub fn set(root: &mut toml::Value, axis: &str, x: f64) -> Result<()> {
 
 /// A name for a sweep that has none: of what it varies.
 #[must_use]
-pub fn name_of(axes: &[SweepAxis], scenario: &Scenario) -> String {
+pub fn name_of(axes: &[SweepAxis]) -> String {
     let keys: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
-    let text = format!("{}-over-{}", scenario.name, keys.join("-"));
-    let word = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
-    let mut name: String = text.chars().map(word).collect();
+    let word = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
+    let mut name: String = keys.join("-and-").chars().map(word).collect();
     while name.contains("--") {
         name = name.replace("--", "-");
     }
@@ -156,7 +154,6 @@ mod tests {
     #[test]
     fn a_sweep_without_a_name_is_named_after_what_it_varies() {
         let axes = ["goal[1]=0.3", "radio.b_dt=2.5"].map(|text| text.parse().unwrap());
-        let scenario = Scenario::named("elsewhere").unwrap();
-        assert_eq!(name_of(&axes, &scenario), "elsewhere-over-goal-1-radio-b-dt");
+        assert_eq!(name_of(&axes), "goal-1-and-radio-b_dt");
     }
 }

@@ -172,7 +172,7 @@ impl SweepFile {
     pub fn over(axes: &[SweepAxis], scenario: &str) -> Result<Self> {
         let scenario = Scenario::named(scenario)?;
         Ok(Self {
-            name: axis::name_of(axes, &scenario),
+            name: axis::name_of(axes),
             axis: String::new(),
             points: Vec::new(),
             second: None,
