@@ -80,7 +80,8 @@ fn a_sweep_over_two_axes_is_one_table_and_a_figure() {
     let named = |ending: &str| found.keys().filter(|name| name.to_string_lossy().ends_with(ending)).count();
     assert_eq!((named(".svg"), named(".png"), named("_points.csv")), (1, 1, 1), "{:?}", found.keys());
     let table = String::from_utf8(found[Path::new("points.csv")].clone()).unwrap();
-    let points: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').skip(1).take(3).collect()).collect();
+    let points: Vec<Vec<&str>> =
+        table.lines().map(|line| line.split(',').skip(1).take(3).collect()).collect();
     assert_eq!(points[0], ["x", "y", "controller"]);
     assert_eq!(points[1..3], [["0.4", "2.75", "rcc"], ["0.4", "2.75", "ucc"]]);
     assert_eq!((points.len(), &points[8][..]), (9, &["0.5", "4", "ucc"][..]));

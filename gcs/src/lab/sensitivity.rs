@@ -28,8 +28,8 @@ use crate::lab::attempts::{Begun, Quiet, optimise_for};
 use crate::lab::report::claims;
 use crate::lab::report::rows::VerdictRow;
 use crate::lab::report::verdict::Verdict;
-use crate::lab::sweep::episode::SweepEpisode;
 use crate::lab::sweep::axis::SweepPoint;
+use crate::lab::sweep::episode::SweepEpisode;
 use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels, SweepPlan};
 use crate::lab::tune::tuned;
 use crate::station::models::Models;
@@ -182,9 +182,8 @@ fn fly(args: &Sensitivity, done: &mut Vec<Outcome>) -> Result<()> {
     let opening = || format!("opening {}", path.display());
     let mut file: File = OpenOptions::new().create(true).append(true).open(&path).with_context(opening)?;
     let all = 2 * OMITTED.len() as u64 + args.draws;
-    let mine: Vec<u64> = (0..all)
-        .filter(|n| args.shard.has(*n) && done.iter().all(|o| o.world != *n))
-        .collect();
+    let mine: Vec<u64> =
+        (0..all).filter(|n| args.shard.has(*n) && done.iter().all(|o| o.world != *n)).collect();
     let bar = progress::bar("worlds", mine.len() as u64);
     for n in mine {
         let Some((what, values)) = world(n, args.draws, args.seed) else { continue };
@@ -251,8 +250,11 @@ fn one(
         let seeds = FIRST_SEED..FIRST_SEED + args.episodes;
         let mut episodes = Vec::new();
         for contender in &contenders {
-            let flown: Result<Vec<SweepEpisode>> =
-                seeds.clone().into_par_iter().map(|seed| SweepEpisode::fly(contender, SweepPoint::on(x), seed)).collect();
+            let flown: Result<Vec<SweepEpisode>> = seeds
+                .clone()
+                .into_par_iter()
+                .map(|seed| SweepEpisode::fly(contender, SweepPoint::on(x), seed))
+                .collect();
             episodes.extend(flown?);
         }
         let plan = plan(name, x, args.episodes)?;

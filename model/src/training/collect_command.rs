@@ -69,17 +69,15 @@ pub fn collect(args: &Collect) -> Result<()> {
         None => states(&config, args)?,
     }
     if args.shard != Shard::WHOLE {
-        fs::write(&note, format!("{}\n", args.shard)).with_context(|| format!("writing {}", note.display()))?;
+        fs::write(&note, format!("{}\n", args.shard))
+            .with_context(|| format!("writing {}", note.display()))?;
     }
     Ok(())
 }
 
 /// Episodes as states, from which training draws the pictures.
 fn states(config: &TrainConfig, args: &Collect) -> Result<()> {
-    ensure!(
-        args.format == RecordingFormat::default(),
-        "--format png: the configuration has no [learned]"
-    );
+    ensure!(args.format == RecordingFormat::default(), "--format png: the configuration has no [learned]");
     let all = recipe::collect(config, &Scenario::default());
     let mine = |(n, episode)| args.shard.has(n as u64).then_some(episode);
     let episodes: Vec<Episode> = all.into_iter().enumerate().filter_map(mine).collect();

@@ -83,7 +83,8 @@ mod tests {
     #[test]
     fn what_is_missing_or_there_twice_is_told() {
         let lack = |all: &[&str]| {
-            let named: Vec<_> = all.iter().enumerate().map(|(n, text)| (n.to_string(), shard(text))).collect();
+            let named: Vec<_> =
+                all.iter().enumerate().map(|(n, text)| (n.to_string(), shard(text))).collect();
             Shard::lack(&named).unwrap_or_default()
         };
         assert_eq!(lack(&["2/2", "1/2"]), "");

@@ -91,7 +91,8 @@ impl OpenFleet {
     /// Begins anew.
     pub fn reset(&mut self, seed: u64) {
         let (scenario, plan) = (self.field.scenario().clone(), *self.field.plan());
-        self.field = FleetField::new(&scenario, &plan, seed, |seed| OpenFlight::new(&scenario, &self.view, seed));
+        self.field =
+            FleetField::new(&scenario, &plan, seed, |seed| OpenFlight::new(&scenario, &self.view, seed));
         self.turn = 0;
     }
 

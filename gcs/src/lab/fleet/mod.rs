@@ -13,10 +13,10 @@ pub mod table;
 
 use anyhow::Result;
 use crpl_model::world_model::StationHeads;
+use crpl_sitl::Sim;
 use crpl_sitl::radio::message::{Command, Percept};
 use crpl_sitl::sim::metric::FlightScore;
 use crpl_sitl::world::dynamics::State;
-use crpl_sitl::Sim;
 
 use crate::lab::Contender;
 use crate::station::Station;
@@ -126,9 +126,9 @@ fn percept(field: &FleetField<Commanded>, n: usize, airborne: &[usize], states: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crpl_sitl::Scenario;
     use crate::station::models::Models;
     use crate::station::pilot::Controller;
+    use crpl_sitl::Scenario;
 
     fn flown(controller: Controller, plan: &FleetPlan) -> FleetScore {
         let scenario = Scenario::named("demo").unwrap();

@@ -333,8 +333,8 @@ pub const CLAIMS: &[Claim] = &[
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::sweep::axis::SweepPoint;
     use crate::lab::report::SWEEPS;
+    use crate::lab::sweep::axis::SweepPoint;
     use crate::lab::sweep::episode::SweepEpisode;
     use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels, SweepPlan};
     use crpl_sitl::sim::metric::PerMetric;

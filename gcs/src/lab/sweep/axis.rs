@@ -81,8 +81,9 @@ impl FromStr for SweepAxis {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (axis, values) =
-            text.split_once('=').ok_or("must be KEY=VALUES, such as goal[1]=0.3,0.5 or radio.b_dt=2.5:5:6")?;
+        let (axis, values) = text
+            .split_once('=')
+            .ok_or("must be KEY=VALUES, such as goal[1]=0.3,0.5 or radio.b_dt=2.5:5:6")?;
         let AxisValues(points) = values.parse()?;
         Ok(Self { axis: axis.trim().to_owned(), points })
     }
@@ -98,9 +99,7 @@ pub fn values<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::
     }
     match Points::deserialize(from)? {
         Points::List(list) => Ok(list),
-        Points::Grid(text) => {
-            text.parse().map(|AxisValues(list)| list).map_err(serde::de::Error::custom)
-        }
+        Points::Grid(text) => text.parse().map(|AxisValues(list)| list).map_err(serde::de::Error::custom),
     }
 }
 

@@ -63,9 +63,8 @@ fn curve(
     metric: Metric,
     (name, colour, style): (String, usize, Style),
 ) -> Series {
-    let is_here = |row: &&TableRow, x: f64| {
-        row.point.x == x && row.point.y == y && row.controller == controller
-    };
+    let is_here =
+        |row: &&TableRow, x: f64| row.point.x == x && row.point.y == y && row.controller == controller;
     let mut means: Vec<(f64, _)> = plan
         .points
         .iter()

@@ -9,9 +9,9 @@ use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::shard::Shard;
 use serde::{Deserialize, Serialize};
 
+use super::axis::SweepPoint;
 use super::episode::{self, SweepEpisode};
 use super::journal::Journal;
-use super::axis::SweepPoint;
 use super::plan::SweepPlan;
 use super::{figure, table};
 use crate::tools::parquet;

@@ -44,10 +44,10 @@ use crate::station::pilot::own::AnswerTally;
 use crate::station::pilot::{Controller, ControllerParser};
 use crate::watch::feed::{Feed, WatchEvent};
 use crate::watch::{WatchFlags, WatchPage};
+use axis::{SweepAxis, SweepPoint};
 use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
-use axis::{SweepAxis, SweepPoint};
 use plan::{Overrides, SweepFile, SweepModels, SweepPlan, SweepPolicies, UncoveredPoint};
 use table::TableRow;
 
@@ -235,9 +235,8 @@ fn fly(
     let total = units.len();
     let is_done: std::collections::HashSet<_> =
         done.iter().map(|e| (e.point.bits(), e.controller, e.seed)).collect();
-    units.retain(|((point, contender), seed)| {
-        !is_done.contains(&(point.bits(), contender.controller, *seed))
-    });
+    units
+        .retain(|((point, contender), seed)| !is_done.contains(&(point.bits(), contender.controller, *seed)));
 
     let bar = progress::bar(plan.name.clone(), total as u64);
     bar.inc((total - units.len()) as u64);

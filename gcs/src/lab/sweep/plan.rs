@@ -408,7 +408,8 @@ mod tests {
 
     #[test]
     fn axes_of_flags_stand_in_place_of_a_file_s() {
-        let file = || SweepFile::parse(&format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3]\n")).unwrap();
+        let file =
+            || SweepFile::parse(&format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3]\n")).unwrap();
         let axes = ["goal[0]=0.8", "start[1]=0.3:0.4:2"].map(|text| text.parse().unwrap());
         let resolve = |axes: &[SweepAxis]| {
             let flags = Overrides { axes: axes.to_vec(), ..Overrides::default() };
@@ -439,7 +440,10 @@ mod tests {
             (with("axis", "axes"), "axes"),
             (format!("{FILE}[scenario.radio]\nb_dd = 3.0\n"), "b_dd"),
             (format!("{FILE}[second]\naxis = \"radio.b_dt\"\npoints = [1.0]\n"), "both axes are radio.b_dt"),
-            (format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3, 0.3]\n"), "points: 0.3 stands there twice"),
+            (
+                format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3, 0.3]\n"),
+                "points: 0.3 stands there twice",
+            ),
             (format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = []\n"), "at least one each"),
             (with("[2.5, 4.0]", "\"2:3\""), "FROM:TO:COUNT"),
         ] {
