@@ -102,8 +102,11 @@ class FleetFlight(ParallelEnv[str, Observation, Action]):
             raise gymnasium.error.ResetNeeded("the flights are over, or have not begun: call reset()")
         numbers, flags = self._turn(actions)
         airborne = self._fleet.airborne()
-        stepped, rewards, infos = self.agents, {}, {}
-        terminated, truncated = {}, {}
+        stepped = self.agents
+        rewards: dict[str, float] = {}
+        infos: dict[str, dict[str, Any]] = {}
+        terminated: dict[str, bool] = {}
+        truncated: dict[str, bool] = {}
         for agent in stepped:
             n = self._number(agent)
             terminated[agent], truncated[agent], flown, outage, collided, met = (bool(flag) for flag in flags[n])
