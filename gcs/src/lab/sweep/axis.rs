@@ -90,6 +90,9 @@ impl FromStr for SweepAxis {
 }
 
 /// Points of a file: a list of numbers, or a grid as text.
+///
+/// # Errors
+/// It is neither.
 pub fn values<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged, expecting = "must be a list of numbers, or a grid such as \"0.1:0.5:5\"")]
