@@ -33,7 +33,9 @@ fn start(word: &str, dir: &Path) -> Program {
     let goals = goals();
     let (heading, commands) = goals.iter().find(|(heading, _)| heading.contains(word)).unwrap();
     assert!((1..=3).contains(&commands.len()), "{heading}: {commands:?}");
-    let text = commands.join("\n").replace("14550", &free_port()).replace("14551", &free_port());
+    // A command that is alone takes the shell's place, so that it ends with it.
+    let alone = if commands.len() == 1 { "exec " } else { "" };
+    let text = format!("{alone}{}", commands.join("\n")).replace("14550", &free_port()).replace("14551", &free_port());
     let mut shell = Command::new("bash");
     shell.args(["-euo", "pipefail", "-c"]);
     shell.arg(format!("trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{text}"));
@@ -86,7 +88,7 @@ fn pictures_become_a_data_set() {
 #[test]
 fn a_radio_stands_between_a_vehicle_and_a_station() {
     let said = run("radio", empty().path());
-    assert!(said.contains("RADIO_TXP"), "{said}");
+    assert!(said.contains("SYSID_THISMAV"), "{said}");
 }
 
 #[test]
@@ -95,12 +97,10 @@ fn a_flight_is_watched_in_a_browser() {
     program.logs("watch: http://").unwrap();
     let said = program.so_far();
     let address = said.lines().find_map(|line| line.strip_prefix("watch: http://")).unwrap();
-    let (host, _) = address.split_once('/').unwrap();
+    let host = address.split('/').next().unwrap();
     let mut page = TcpStream::connect(host).unwrap();
     write!(page, "GET / HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
     let mut text = String::new();
     page.read_to_string(&mut text).unwrap();
     assert!(text.starts_with("HTTP/1.1 200") && text.contains("<title>"), "{text:.300}");
-    program.interrupt().unwrap();
-    program.wait().unwrap();
 }
