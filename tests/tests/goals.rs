@@ -35,7 +35,9 @@ fn start(word: &str, dir: &Path) -> Program {
     assert!((1..=3).contains(&commands.len()), "{heading}: {commands:?}");
     // A command that is alone takes the shell's place, so that it ends with it.
     let alone = if commands.len() == 1 { "exec " } else { "" };
-    let text = format!("{alone}{}", commands.join("\n")).replace("14550", &free_port()).replace("14551", &free_port());
+    let text = format!("{alone}{}", commands.join("\n"))
+        .replace("14550", &free_port())
+        .replace("14551", &free_port());
     let mut shell = Command::new("bash");
     shell.args(["-euo", "pipefail", "-c"]);
     shell.arg(format!("trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{text}"));
