@@ -61,12 +61,25 @@ def pybullet():
 
 
 def crazyflow(flights):
+    import jax
     from crazyflow.sim import Sim
 
     sim = Sim(n_worlds=flights, device="cpu")
     sim.reset()
-    sim.step()
-    return lambda: sim.step()
+
+    def step():
+        sim.step()
+        # JAX computes on while Python goes on.
+        jax.block_until_ready(sim.data)
+
+    return step
+
+
+def pyflyt():
+    import PyFlyt.gym_envs  # noqa: F401
+
+    env = gymnasium.make("PyFlyt/QuadX-Hover-v1")
+    return single(env, np.zeros(env.action_space.shape, np.float32))
 
 
 def main():
@@ -86,7 +99,8 @@ def main():
         ("gymnasium CartPole-v1, vectorised, 256", 256, lambda: cartpole(256)),
         ("gymnasium CartPole-v1, one", 1, lambda: single(gymnasium.make("CartPole-v1"), 0)),
         ("gym-pybullet-drones HoverAviary, one", 1, pybullet),
-        ("crazyflow, CPU, 256 worlds", 256, lambda: crazyflow(256)),
+        ("PyFlyt QuadX-Hover-v1, one", 1, pyflyt),
+        ("crazyflow Sim.step, CPU, 256 worlds", 256, lambda: crazyflow(256)),
     ]
     print(f"one core, {args.rounds} rounds of {args.seconds} s, revision {crpl.revision()}")
     for name, flights, make in rows:

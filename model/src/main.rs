@@ -1,6 +1,6 @@
 //! `model`: makes the training data and the world model, and measures it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -10,16 +10,14 @@ use crpl_model::evaluation;
 use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{self, Run};
 use crpl_model::training::show::StageShow;
-use crpl_model::training::{ablation_command, learned, predictors};
+use crpl_model::training::{ablation_command, collect_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::config::{LearnedTraining, TrainConfig};
-use crpl_model::world_model::exploration::{self, ExplorationConfig};
-use crpl_model::world_model::recording::{Recording, RecordingFormat};
-use crpl_sitl::Scenario;
+use crpl_model::world_model::config::TrainConfig;
+use crpl_model::world_model::recording::Recording;
 use crpl_sitl::program::page::WatchFlags;
 use crpl_sitl::program::page::feed::WatchEvent;
+use crpl_sitl::program::terminal;
 use crpl_sitl::program::timing::Stopwatch;
-use crpl_sitl::program::{progress, terminal};
 
 /// Train and evaluate CRPL's world model.
 #[derive(Debug, Parser)]
@@ -32,7 +30,9 @@ struct Args {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Fly random actions and record the episodes
-    Collect(Collect),
+    Collect(collect_command::Collect),
+    /// Join the shards of `collect`, as if one run had recorded them
+    Merge(collect_command::MergeShards),
     /// Train the world model and write its checkpoint
     Train(Train),
     /// Train the MLP and LSTM predictors on the latents of a world model
@@ -50,6 +50,7 @@ enum Command {
 /// Examples below the help of each command.
 const EXAMPLES: &[(&str, &[&str])] = &[
     ("collect", &["model collect --config configs/learned.toml --out runs/data"]),
+    ("merge", &["model merge runs/data-1 runs/data-2 --out runs/data"]),
     ("train", &["model train --quick", "model train --config configs/learned.toml --data runs/data --watch"]),
     ("predictors", &["model predictors --out runs/networks"]),
     ("adapt", &["model adapt --recording runs/recording --out runs/adapted"]),
@@ -57,22 +58,6 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ("robustness", &["model robustness learned centroid", "model robustness runs/model --json"]),
     ("evaluate", &["model evaluate", "model evaluate --checkpoint runs/model --camera hard"]),
 ];
-
-#[derive(Debug, clap::Args)]
-struct Collect {
-    /// Training parameters that differ from the defaults (TOML)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Override the seed of the training parameters
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// Folder for episodes.safetensors and config.toml
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// How a recording's pictures are stored
-    #[arg(long, value_enum, default_value = "safetensors")]
-    format: RecordingFormat,
-}
 
 #[derive(Debug, clap::Args)]
 struct Train {
@@ -144,7 +129,8 @@ struct Adapt {
 
 fn main() -> ExitCode {
     terminal::main(crpl_model::revision(), EXAMPLES, |args: Args| match args.command {
-        Command::Collect(args) => collect(&args),
+        Command::Collect(args) => collect_command::collect(&args),
+        Command::Merge(args) => collect_command::merge(&args),
         Command::Train(args) => run(&args),
         Command::Predictors(args) => networks(&args),
         Command::Adapt(args) => adapt(&args),
@@ -152,48 +138,6 @@ fn main() -> ExitCode {
         Command::Robustness(args) => ablation_command::robustness(&args),
         Command::Evaluate(args) => evaluation::command::run(&args),
     })
-}
-
-fn collect(args: &Collect) -> anyhow::Result<()> {
-    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
-    if let Some(part) = &config.learned {
-        return record(&config, part, &args.out, args.format);
-    }
-    anyhow::ensure!(
-        args.format == RecordingFormat::default(),
-        "--format png: the configuration has no [learned]"
-    );
-    let episodes = recipe::collect(&config, &Scenario::default());
-    crpl_model::world_model::dataset::save(&episodes, &args.out)?;
-    let path = args.out.join("config.toml");
-    std::fs::write(&path, toml::to_string(&config)?)
-        .with_context(|| format!("writing {}", path.display()))?;
-    crpl_sitl::outln!(
-        "{} episodes of {} actions in {}",
-        episodes.len(),
-        config.data.steps,
-        args.out.display()
-    );
-    Ok(())
-}
-
-/// Exploratory flights as a recording.
-fn record(
-    config: &TrainConfig,
-    part: &LearnedTraining,
-    out: &Path,
-    format: RecordingFormat,
-) -> anyhow::Result<()> {
-    let cameras = learned::recipe::cameras(&part.recording)?;
-    let bar = progress::bar("recording", part.recording.episodes as u64);
-    let place = (out, format);
-    exploration::collect(&part.recording, &cameras, &Scenario::default(), config.seed, place, || bar.inc(1))?;
-    bar.finish();
-    let path = out.join("config.toml");
-    std::fs::write(&path, toml::to_string(config)?).with_context(|| format!("writing {}", path.display()))?;
-    let ExplorationConfig { episodes, pictures, .. } = part.recording;
-    println!("{episodes} episodes of {pictures} pictures in {}", out.display());
-    Ok(())
 }
 
 fn run(args: &Train) -> anyhow::Result<()> {

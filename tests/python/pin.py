@@ -42,6 +42,7 @@ PACKAGE = {
     "packaging": "26.4",  # pytest's
     "pandas": "3.1.1",
     "pathspec": "1.1.1",  # mypy's
+    "pettingzoo": "1.27.0",  # the environment of several vehicles
     "pluggy": "1.7.0",  # pytest's
     "pygments": "2.21.0",  # pytest's
     "pymavlink": PACKAGES["pymavlink"],  # an example's companion

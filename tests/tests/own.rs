@@ -216,3 +216,25 @@ fn a_scene_of_ones_own_is_begun_checked_drawn_and_changed() {
     let sweep = gcs(&["demo", "--scenario", "configs/sweep_bandwidth.toml"]);
     assert!(sweep.stderr.contains("this is a sweep"), "{}", sweep.stderr);
 }
+
+#[test]
+fn a_station_that_speaks_mavlink_is_scored_as_the_controller_that_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = free.local_addr().unwrap().port();
+    drop(free);
+    let own = format!("mavlink:udpin:127.0.0.1:{port}");
+    let who = format!("rcc,{own}");
+    let flags = ["episodes", "--controller", &who, "--episodes", "1", "--first-seed", "3", "--json"];
+    let scored = Program::start("gcs", &flags, None).unwrap();
+    // The station is this project's own; to the lab it is somebody's.
+    let (connect, out) = (format!("udpout:127.0.0.1:{port}"), dir.path().join("flown"));
+    let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
+    gcs(&fly).good().unwrap();
+    let rows = rows(scored.wait().unwrap());
+    assert_eq!((&rows[0]["controller"], &rows[1]["controller"]), (&"rcc".into(), &own.as_str().into()));
+    for metric in ["d_f", "e_comm", "t_out", "j", "p_coll_max"] {
+        assert!(rows[0][metric]["mean"].is_f64(), "{metric}: {}", rows[0]);
+        assert_eq!(rows[0][metric], rows[1][metric], "{metric}");
+    }
+}

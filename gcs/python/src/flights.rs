@@ -16,9 +16,29 @@ use crate::lab::score_columns;
 use crate::world::WorldModel;
 
 /// Numbers of a step: reward, SNR in dB, p_coll.
-const NUMBERS: usize = 3;
+pub const NUMBERS: usize = 3;
 /// Flags of a step: terminated, truncated, flown, outage, collided.
-const FLAGS: usize = 5;
+pub const FLAGS: usize = 5;
+
+/// The numbers of a report.
+pub fn numbers_of(r: &StepReport) -> [f64; NUMBERS] {
+    [r.reward, f64::from(r.snr_db), r.p_coll]
+}
+
+/// The flags of a report.
+pub fn flags_of(r: &StepReport) -> [u8; FLAGS] {
+    [r.terminated, r.truncated, r.flown, r.outage, r.collided].map(u8::from)
+}
+
+/// What flights show, by its name in Python; latents are of `world`.
+pub fn view_of(view: &str, world: Option<&WorldModel>) -> PyResult<FlightView> {
+    match (view, world) {
+        ("state", _) => Ok(FlightView::State),
+        ("image", _) => Ok(FlightView::Picture),
+        ("latent", Some(world)) => Ok(FlightView::Latent(world.model.clone())),
+        _ => refuse(format!("{view:?} is neither state, latent nor image")),
+    }
+}
 
 /// What flights show, before it is copied to Python.
 #[derive(Default)]
@@ -62,12 +82,7 @@ impl Flights {
         world: Option<&WorldModel>,
     ) -> PyResult<Self> {
         let scenario = scenario_of(scenario)?;
-        let view = match (view, world) {
-            ("state", _) => FlightView::State,
-            ("image", _) => FlightView::Picture,
-            ("latent", Some(world)) => FlightView::Latent(world.model.clone()),
-            _ => return refuse(format!("{view:?} is neither state, latent nor image")),
-        };
+        let view = view_of(view, world)?;
         let autoreset = match autoreset {
             "next-step" => Autoreset::NextStep,
             "same-step" => Autoreset::SameStep,
@@ -141,11 +156,9 @@ impl Flights {
             Buffers::Numbers(buffers) => flown.step(py, buffers, now, last)?,
             Buffers::Bytes(buffers) => flown.step(py, buffers, now, last)?,
         }
-        let of = |r: &StepReport| [r.reward, f64::from(r.snr_db), r.p_coll];
-        let told: Vec<[f64; NUMBERS]> = self.reports.iter().map(of).collect();
+        let told: Vec<[f64; NUMBERS]> = self.reports.iter().map(numbers_of).collect();
         fill(py, &numbers, told.as_flattened())?;
-        let of = |r: &StepReport| [r.terminated, r.truncated, r.flown, r.outage, r.collided].map(u8::from);
-        let told: Vec<[u8; FLAGS]> = self.reports.iter().map(of).collect();
+        let told: Vec<[u8; FLAGS]> = self.reports.iter().map(flags_of).collect();
         fill(py, &flags, told.as_flattened())
     }
 

@@ -4,6 +4,7 @@
 //! and `crpl_model`'s; nothing here knows physics.
 
 mod arrays;
+mod fleets;
 mod flights;
 mod lab;
 mod world;
@@ -11,6 +12,8 @@ mod world;
 /// The compiled part of the package `crpl`.
 #[pyo3::pymodule]
 mod _crpl {
+    #[pymodule_export]
+    use super::fleets::Fleet;
     #[pymodule_export]
     use super::flights::Flights;
     #[pymodule_export]

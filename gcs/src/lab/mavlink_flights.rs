@@ -15,13 +15,17 @@ use crpl_sitl::program::terminal;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::Vehicle;
 use crpl_sitl::{Scenario, Sim};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 
 use crate::station::pilot::own::name::OwnController;
 use crate::station::pilot::own::{OwnFlags, START};
 
 /// The vehicle's system id.
 const SYSTEM: u8 = 1;
+
+/// How long the endpoint stays shut after a flight. A station that is ending still answers for a moment, and would fly
+/// the first intervals of the next vehicle (our choice).
+const PAUSE: Duration = Duration::from_secs(1);
 
 /// A station of somebody's own, and the endpoint at which it finds its vehicle.
 #[derive(Debug)]
@@ -78,6 +82,8 @@ impl MavlinkFlights {
             }
         }
         shell.close().await;
-        Ok(shell.into_vehicles().iter_mut().flat_map(Vehicle::take_records).collect())
+        let records = shell.into_vehicles().iter_mut().flat_map(Vehicle::take_records).collect();
+        sleep(PAUSE).await;
+        Ok(records)
     }
 }

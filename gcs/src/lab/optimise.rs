@@ -15,6 +15,7 @@ use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::scenario::presets;
 use indicatif::ProgressBar;
@@ -22,8 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::lab::attempts::{AttemptWatch, Begun, Optimised, Quiet, optimise_for};
 use crate::lab::check::{ConstraintCheck, one_obstacle};
-use crate::lab::random;
-use crate::lab::sweep::plan::Shard;
+use crate::lab::random::{self, RandomPlan};
 use crate::station::models::Models;
 
 /// Flags of `gcs optimise`.
@@ -44,9 +44,9 @@ pub struct Optimise {
     /// World model: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// Folder for the policies
-    #[arg(long, value_name = "DIR", default_value = "runs/policy")]
-    out: PathBuf,
+    /// Folder for the policies [default: runs/policy], or with --random for the table of worlds [default: none]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Resume an interrupted run
     #[arg(long)]
     resume: bool,
@@ -54,11 +54,11 @@ pub struct Optimise {
     #[arg(long, conflicts_with = "resume")]
     compare_limits: bool,
     /// Optimise for N random scenarios instead, drawn by --seed, and print how many of the solvable ones are solved;
-    /// writes nothing. Start, goal and base station lie in 0.08 to 0.92, the obstacle in 0.25 to 0.75 with a radius
+    /// writes no policies. Start, goal and base station lie in 0.08 to 0.92, the obstacle in 0.25 to 0.75 with a radius
     /// of 0.05 to 0.15, B dt in 2.5 to 6
-    #[arg(long, value_name = "N", conflicts_with_all = ["scenario", "resume", "compare_limits", "out"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["scenario", "resume", "compare_limits"])]
     random: Option<u64>,
-    /// With --random, only shard I of N, every Nth world; the rows of all shards are those of one run
+    /// With --random, only shard I of N, every Nth world; `gcs merge` joins the shards' --out
     #[arg(long, value_name = "I/N", default_value = "1/1", requires = "random")]
     shard: Shard,
     /// Print JSON
@@ -123,16 +123,18 @@ pub fn run(args: &Optimise) -> Result<()> {
     config.check()?;
     let world = Models::load(args.checkpoint.as_deref(), None)?.world;
     if let Some(worlds) = args.random {
-        return random::run(&world, &config, worlds, args.shard, args.seed, args.json);
+        let plan = RandomPlan::new(&world, config, worlds, args.seed)?;
+        return random::run(&world, &plan, args.shard, args.out.as_deref(), args.json);
     }
     let scenario = args.camera.scenario(&args.scenario)?;
     one_obstacle(&scenario)?;
     if args.compare_limits {
         return compare_limits(&world, &scenario, &config, args);
     }
-    std::fs::create_dir_all(&args.out).with_context(|| format!("creating {}", args.out.display()))?;
+    let out = args.out.clone().unwrap_or_else(|| "runs/policy".into());
+    std::fs::create_dir_all(&out).with_context(|| format!("creating {}", out.display()))?;
     let name = scenario.number().map_or("policy".to_owned(), |n| format!("policy_s{n}"));
-    let saved = args.out.join(format!("{name}.progress.json"));
+    let saved = out.join(format!("{name}.progress.json"));
     let mut run = Saved {
         seed: args.seed,
         world: crpl_model::world_model::checkpoint::planning_fingerprint(&world)?,
@@ -147,14 +149,14 @@ pub fn run(args: &Optimise) -> Result<()> {
     let made = optimise_for(&world, &scenario, &config, args.seed, begun, &mut show)?;
     show.bar.finish_and_clear();
     let kept = if made.flown.holds() { name } else { format!("{name}.rejected") };
-    write(&args.out, &kept, &made.policies, &PolicyManifest::of(&scenario, args.seed, &config, &made))?;
+    write(&out, &kept, &made.policies, &PolicyManifest::of(&scenario, args.seed, &config, &made))?;
     if saved.exists() {
         std::fs::remove_file(&saved).with_context(|| format!("removing {}", saved.display()))?;
     }
     let Optimised { outcome, flown, attempts, wall_s, .. } = &made;
     if args.json {
         let line = serde_json::json!({"scenario": scenario.name, "seed": args.seed, "outcome": outcome,
-            "flown": flown, "attempts": attempts, "wall_s": wall_s, "out": args.out});
+            "flown": flown, "attempts": attempts, "wall_s": wall_s, "out": out});
         crpl_sitl::outln!("{line:#}");
     } else {
         let o = outcome;
@@ -166,7 +168,7 @@ pub fn run(args: &Optimise) -> Result<()> {
         );
         crpl_sitl::outln!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
         crpl_sitl::out!("{flown}");
-        let file = args.out.join(format!("{kept}.safetensors"));
+        let file = out.join(format!("{kept}.safetensors"));
         crpl_sitl::outln!("{wall_s:.1} s, attempt {attempts}; {}", file.display());
     }
     flown.verdict()

@@ -5,23 +5,26 @@
 //! ([`solvable`]).
 
 use std::collections::VecDeque;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::files::write_whole;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::units::TxPower;
 use crpl_sitl::units::noise::{Noise, Stream};
 use crpl_sitl::world::{channel, safety};
 use nalgebra::Vector2;
 use rand::{Rng, RngExt};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::lab::attempts::{Begun, Quiet, optimise_for};
 use crate::lab::check::ConstraintCheck;
-use crate::lab::sweep::plan::Shard;
 
 /// Start, goal and base station lie in this range of each axis.
 const PLACE: [f64; 2] = [0.08, 0.92];
@@ -133,7 +136,7 @@ pub fn solvable(scenario: &Scenario) -> bool {
 }
 
 /// One world and what became of it.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RandomRow {
     /// Number of the world under its seed.
     pub n: u64,
@@ -159,83 +162,263 @@ pub struct RandomRow {
     pub attempts: usize,
     /// The check.
     pub flown: ConstraintCheck,
-    /// Time of optimisation and check, s.
-    pub wall_s: f64,
+    /// Time of optimisation and check, s; not in the table on disk, which is the same wherever it is made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wall_s: Option<f64>,
 }
 
-/// Optimises for those of `worlds` worlds of `seed` that are in the shard and prints a row each, and how many were solved.
+/// Which worlds, and what decides what becomes of them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RandomPlan {
+    /// How many.
+    pub worlds: u64,
+    /// Seed that draws them.
+    pub seed: u64,
+    /// Fingerprint of the world model.
+    pub world_model: String,
+    /// Name of the code ([`crate::sources`]).
+    pub code: String,
+    /// Algorithm 1.
+    pub config: OptimiseConfig,
+}
+
+impl RandomPlan {
+    /// So many worlds of a seed.
+    ///
+    /// # Errors
+    /// The world model has no fingerprint.
+    pub fn new(model: &WorldModel, config: OptimiseConfig, worlds: u64, seed: u64) -> Result<Self> {
+        let world_model = crpl_model::world_model::checkpoint::planning_fingerprint(model)?;
+        Ok(Self { worlds, seed, world_model, code: crate::sources().into(), config })
+    }
+}
+
+/// Optimises for those worlds of a plan that are in the shard and prints a row each, and how many were solved. With
+/// `out`, the rows are kept there as they come, and those that are there are not made again.
 ///
 /// # Errors
-/// As [`optimise_for`].
+/// As [`optimise_for`]; a folder of another plan or shard, a file that cannot be written.
 pub fn run(
-    world_model: &Arc<WorldModel>,
-    config: &OptimiseConfig,
-    worlds: u64,
+    model: &Arc<WorldModel>,
+    plan: &RandomPlan,
     shard: Shard,
-    seed: u64,
+    out: Option<&Path>,
     json: bool,
 ) -> Result<()> {
-    let mut rows = Vec::new();
+    let folder = out.map(|dir| RandomFolder::begin(dir, plan, shard)).transpose()?;
+    let mut rows = match &folder {
+        Some(folder) => folder.rows()?,
+        None => Vec::new(),
+    };
     if !json {
-        crpl_sitl::outln!(
-            "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s"
-        );
+        crpl_sitl::outln!("{HEAD}");
     }
-    for n in (0..worlds).filter(|n| n % shard.of == shard.number - 1) {
-        let scenario = world(seed, n);
-        let solvable = solvable(&scenario);
-        // Where no controller can, one attempt is enough to see that the bound is one.
-        let config =
-            OptimiseConfig { attempts: if solvable { config.attempts } else { 1 }, ..config.clone() };
-        let made = optimise_for(world_model, &scenario, &config, seed, Begun::default(), &mut Quiet)?;
-        let o = scenario.obstacle();
-        let row = RandomRow {
-            n,
-            start: scenario.start,
-            goal: scenario.goal,
-            obstacle: o.position,
-            radius: o.radius,
-            base_station: scenario.channel.base_station,
-            b_dt: scenario.radio.b_dt,
-            solvable,
-            solved: made.flown.holds(),
-            refused: made.flown.verdict().err().map(|error| error.to_string()),
-            attempts: made.attempts,
-            flown: made.flown,
-            wall_s: made.wall_s,
-        };
-        if json {
-            crpl_sitl::outln!("{}", serde_json::to_string(&row)?);
-        } else {
-            crpl_sitl::outln!("{}", text(&row));
-            row.refused.iter().for_each(|why| crpl_sitl::outln!("       {why}"));
+    rows.iter().try_for_each(|row| show(row, json))?;
+    for n in (rows.len() as u64..).map(|k| k * shard.of + shard.number - 1).take_while(|n| *n < plan.worlds) {
+        let row = one(model, plan, n)?;
+        if let Some(folder) = &folder {
+            folder.add(&row)?;
         }
+        show(&row, json)?;
         rows.push(row);
     }
-    let solvable: Vec<&RandomRow> = rows.iter().filter(|row| row.solvable).collect();
-    let solved = solvable.iter().filter(|row| row.solved).count();
-    let beyond = rows.iter().filter(|row| row.solved && !row.solvable).count();
-    let mut times: Vec<f64> = solvable.iter().map(|row| row.wall_s).collect();
-    times.sort_by(f64::total_cmp);
-    let median = times.get(times.len() / 2).copied().unwrap_or(f64::NAN);
-    let line = format!(
-        "{} worlds of seed {seed}: {} solvable, {solved} of these solved, {beyond} solved beyond them; median of the solvable {median:.1} s",
-        rows.len(),
-        solvable.len()
-    );
+    let line = summary(plan, &rows);
     if json {
-        eprintln!("{line}")
+        eprintln!("{line}");
     } else {
-        crpl_sitl::outln!("{line}")
+        crpl_sitl::outln!("{line}");
     }
     Ok(())
 }
+
+/// World `n` and what becomes of it.
+fn one(model: &Arc<WorldModel>, plan: &RandomPlan, n: u64) -> Result<RandomRow> {
+    let scenario = world(plan.seed, n);
+    let solvable = solvable(&scenario);
+    // Where no controller can, one attempt is enough to see that the bound is one.
+    let attempts = if solvable { plan.config.attempts } else { 1 };
+    let config = OptimiseConfig { attempts, ..plan.config.clone() };
+    let made = optimise_for(model, &scenario, &config, plan.seed, Begun::default(), &mut Quiet)?;
+    let o = scenario.obstacle();
+    Ok(RandomRow {
+        n,
+        start: scenario.start,
+        goal: scenario.goal,
+        obstacle: o.position,
+        radius: o.radius,
+        base_station: scenario.channel.base_station,
+        b_dt: scenario.radio.b_dt,
+        solvable,
+        solved: made.flown.holds(),
+        refused: made.flown.verdict().err().map(|error| error.to_string()),
+        attempts: made.attempts,
+        flown: made.flown,
+        wall_s: Some(made.wall_s),
+    })
+}
+
+fn show(row: &RandomRow, json: bool) -> Result<()> {
+    if json {
+        crpl_sitl::outln!("{}", serde_json::to_string(row)?);
+        return Ok(());
+    }
+    crpl_sitl::outln!("{}", text(row));
+    row.refused.iter().for_each(|why| crpl_sitl::outln!("       {why}"));
+    Ok(())
+}
+
+/// How many were solved, and the median time of those that were made now.
+fn summary(plan: &RandomPlan, rows: &[RandomRow]) -> String {
+    let solvable: Vec<&RandomRow> = rows.iter().filter(|row| row.solvable).collect();
+    let solved = solvable.iter().filter(|row| row.solved).count();
+    let beyond = rows.iter().filter(|row| row.solved && !row.solvable).count();
+    let mut times: Vec<f64> = solvable.iter().filter_map(|row| row.wall_s).collect();
+    times.sort_by(f64::total_cmp);
+    let median = times.get(times.len() / 2);
+    let median = median.map(|s| format!("; median of the solvable {s:.1} s")).unwrap_or_default();
+    format!(
+        "{} worlds of seed {}: {} solvable, {solved} of these solved, {beyond} solved beyond them{median}",
+        rows.len(),
+        plan.seed,
+        solvable.len()
+    )
+}
+
+/// What `random.toml` says.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RandomManifest {
+    shard: String,
+    plan: RandomPlan,
+}
+
+/// A table of random worlds on disk: `random.toml` says which, `worlds.jsonl` has a line for each.
+#[derive(Debug)]
+pub struct RandomFolder {
+    dir: PathBuf,
+    plan: RandomPlan,
+    shard: Shard,
+}
+
+impl RandomFolder {
+    /// Whether a folder holds random worlds.
+    #[must_use]
+    pub fn is_one(dir: &Path) -> bool {
+        dir.join(MANIFEST).exists()
+    }
+
+    fn open(dir: &Path) -> Result<Self> {
+        let path = dir.join(MANIFEST);
+        let reading = || format!("reading {}", path.display());
+        let text = std::fs::read_to_string(&path).with_context(reading)?;
+        let RandomManifest { shard, plan } = toml::from_str(&text).with_context(reading)?;
+        let shard = shard.parse().map_err(|error| anyhow::anyhow!("{}: shard {error}", path.display()))?;
+        Ok(Self { dir: dir.into(), plan, shard })
+    }
+
+    fn begin(dir: &Path, plan: &RandomPlan, shard: Shard) -> Result<Self> {
+        if Self::is_one(dir) {
+            let there = Self::open(dir)?;
+            if there.plan != *plan || there.shard != shard {
+                bail!("{} holds other worlds or another shard: choose another --out", dir.display());
+            }
+            return Ok(there);
+        }
+        std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;
+        let manifest = RandomManifest { shard: shard.to_string(), plan: plan.clone() };
+        let path = dir.join(MANIFEST);
+        write_whole(&path, toml::to_string(&manifest)?.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
+        Ok(Self { dir: dir.into(), plan: plan.clone(), shard })
+    }
+
+    /// The rows so far; a last line that was cut is dropped, and made again.
+    fn rows(&self) -> Result<Vec<RandomRow>> {
+        let path = self.dir.join(ROWS);
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(error).with_context(|| format!("reading {}", path.display())),
+        };
+        let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+        if whole.len() < text.len() {
+            write_whole(&path, whole.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        }
+        let rows: Vec<RandomRow> = whole
+            .lines()
+            .enumerate()
+            .map(|(n, line)| {
+                serde_json::from_str(line).with_context(|| format!("{}, line {}", path.display(), n + 1))
+            })
+            .collect::<Result<_>>()?;
+        let wanted = |k: usize| k as u64 * self.shard.of + self.shard.number - 1;
+        match rows.iter().enumerate().find(|(k, row)| row.n != wanted(*k)) {
+            Some((k, _)) => bail!("{}, line {}: is not world {}", path.display(), k + 1, wanted(k)),
+            None => Ok(rows),
+        }
+    }
+
+    fn add(&self, row: &RandomRow) -> Result<()> {
+        let path = self.dir.join(ROWS);
+        let line = serde_json::to_string(&RandomRow { wall_s: None, ..row.clone() })? + "\n";
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+            .with_context(|| format!("writing {}", path.display()))
+    }
+}
+
+/// Joins the shards of random worlds into the table of one run, byte for byte, and prints it.
+///
+/// # Errors
+/// Folders that are not all shards of one run, and files that cannot be written.
+pub fn merge(dirs: &[PathBuf], out: &Path, json: bool) -> Result<()> {
+    let folders = dirs.iter().map(|dir| RandomFolder::open(dir)).collect::<Result<Vec<_>>>()?;
+    let Some(first) = folders.first() else { bail!("no shard") };
+    if let Some(other) = folders.iter().find(|folder| folder.plan != first.plan) {
+        let (a, b) = (first.dir.display(), other.dir.display());
+        bail!("{a} and {b} are of different runs: compare their {MANIFEST}");
+    }
+    let named: Vec<(String, Shard)> =
+        folders.iter().map(|folder| (folder.dir.display().to_string(), folder.shard)).collect();
+    if let Some(lack) = Shard::lack(&named) {
+        bail!(lack);
+    }
+    let mut rows = Vec::new();
+    for folder in &folders {
+        rows.extend(folder.rows()?);
+    }
+    rows.sort_by_key(|row| row.n);
+    if let Some(n) = (0..first.plan.worlds).find(|n| rows.get(*n as usize).is_none_or(|row| row.n != *n)) {
+        bail!("world {n} is missing: make its shard again, with the same command");
+    }
+    let whole = RandomFolder::begin(out, &first.plan, Shard::WHOLE)?;
+    if whole.rows()?.is_empty() {
+        rows.iter().try_for_each(|row| whole.add(row))?;
+    }
+    if !json {
+        crpl_sitl::outln!("{HEAD}");
+    }
+    rows.iter().try_for_each(|row| show(row, json))?;
+    if !json {
+        crpl_sitl::outln!("{}", summary(&first.plan, &rows));
+    }
+    Ok(())
+}
+
+/// The plan of a folder of random worlds.
+const MANIFEST: &str = "random.toml";
+/// Its rows.
+const ROWS: &str = "worlds.jsonl";
+
+/// Names of the columns of [`text`].
+const HEAD: &str = "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s";
 
 fn text(row: &RandomRow) -> String {
     let place = |r: Vector2<f64>| format!("({:.3}, {:.3})", r.x, r.y);
     let yes = |yes: bool| if yes { "yes" } else { "no" };
     format!(
-        "{:>3}  {} {} {} {:<7.3} {} {:<6.3} {:<9} {:<7} {:<8} {:.4}  {:.4}  {:.4}   {:.1}",
+        "{:>3}  {} {} {} {:<7.3} {} {:<6.3} {:<9} {:<7} {:<8} {:.4}  {:.4}  {:.4}   {}",
         row.n,
         place(row.start),
         place(row.goal),
@@ -249,7 +432,7 @@ fn text(row: &RandomRow) -> String {
         row.flown.safe.share,
         row.flown.comm.share,
         row.flown.reached.share,
-        row.wall_s
+        row.wall_s.map_or_else(|| "-".into(), |s| format!("{s:.1}"))
     )
 }
 

@@ -16,6 +16,7 @@ use anyhow::{Context, Result, bail};
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::units::noise::{Noise, Stream};
 use rand::RngExt;
@@ -27,8 +28,9 @@ use crate::lab::attempts::{Begun, Quiet, optimise_for};
 use crate::lab::report::claims;
 use crate::lab::report::rows::VerdictRow;
 use crate::lab::report::verdict::Verdict;
+use crate::lab::sweep::axis::SweepPoint;
 use crate::lab::sweep::episode::SweepEpisode;
-use crate::lab::sweep::plan::{Overrides, Shard, SweepFile, SweepModels, SweepPlan};
+use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels, SweepPlan};
 use crate::lab::tune::tuned;
 use crate::station::models::Models;
 use crate::station::pilot::Controller;
@@ -180,9 +182,8 @@ fn fly(args: &Sensitivity, done: &mut Vec<Outcome>) -> Result<()> {
     let opening = || format!("opening {}", path.display());
     let mut file: File = OpenOptions::new().create(true).append(true).open(&path).with_context(opening)?;
     let all = 2 * OMITTED.len() as u64 + args.draws;
-    let mine: Vec<u64> = (0..all)
-        .filter(|n| n % args.shard.of == args.shard.number - 1 && done.iter().all(|o| o.world != *n))
-        .collect();
+    let mine: Vec<u64> =
+        (0..all).filter(|n| args.shard.has(*n) && done.iter().all(|o| o.world != *n)).collect();
     let bar = progress::bar("worlds", mine.len() as u64);
     for n in mine {
         let Some((what, values)) = world(n, args.draws, args.seed) else { continue };
@@ -249,8 +250,11 @@ fn one(
         let seeds = FIRST_SEED..FIRST_SEED + args.episodes;
         let mut episodes = Vec::new();
         for contender in &contenders {
-            let flown: Result<Vec<SweepEpisode>> =
-                seeds.clone().into_par_iter().map(|seed| SweepEpisode::fly(contender, x, seed)).collect();
+            let flown: Result<Vec<SweepEpisode>> = seeds
+                .clone()
+                .into_par_iter()
+                .map(|seed| SweepEpisode::fly(contender, SweepPoint::on(x), seed))
+                .collect();
             episodes.extend(flown?);
         }
         let plan = plan(name, x, args.episodes)?;

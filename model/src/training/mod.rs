@@ -11,6 +11,8 @@ pub mod bounds;
 pub mod cache;
 pub mod closed_form;
 #[cfg(feature = "train")]
+pub mod collect_command;
+#[cfg(feature = "train")]
 pub mod fitting;
 #[cfg(feature = "train")]
 pub mod gradient;

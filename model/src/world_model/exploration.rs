@@ -127,7 +127,24 @@ pub fn collect(
     (dir, format): (&Path, RecordingFormat),
     done: impl Fn() + Sync,
 ) -> Result<(), TensorError> {
-    (0..config.episodes).into_par_iter().try_for_each(|index| {
+    let all: Vec<usize> = (0..config.episodes).collect();
+    collect_some(config, cameras, scenario, seed, (dir, format), &all, done)
+}
+
+/// The same, of these episodes alone.
+///
+/// # Errors
+/// If a file cannot be written.
+pub fn collect_some(
+    config: &ExplorationConfig,
+    cameras: &[CameraConfig],
+    scenario: &Scenario,
+    seed: u64,
+    (dir, format): (&Path, RecordingFormat),
+    episodes: &[usize],
+    done: impl Fn() + Sync,
+) -> Result<(), TensorError> {
+    episodes.par_iter().copied().try_for_each(|index| {
         let (episode, truth) = record(config, cameras, scenario, seed, index as u64);
         episode.save_as(format, dir, index)?;
         truth.save(dir, index)?;

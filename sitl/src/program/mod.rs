@@ -15,6 +15,7 @@
 //! | [`log`] | the log on stderr |
 //! | [`page`] | a page in the browser that shows what a program does |
 //! | [`progress`] | progress bars, and lines where there is no terminal |
+//! | [`shard`] | one machine's share of a computation |
 //! | [`shell`] | sockets and timers: lockstep and real time |
 //! | [`timing`] | how late intervals begin, and the processor's time |
 
@@ -30,6 +31,7 @@ pub mod log;
 pub mod page;
 pub mod progress;
 pub mod renamed;
+pub mod shard;
 pub mod shell;
 pub mod terminal;
 pub mod timing;

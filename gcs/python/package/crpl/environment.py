@@ -51,6 +51,15 @@ def _executed(actions: Action, discrete: bool) -> NDArray[np.float32]:
     return np.concatenate([_MOTIONS[actions[:, 0]], power], axis=1, dtype=np.float32)
 
 
+def _model(obs: Obs, world: WorldModel | str) -> _crpl.WorldModel | None:
+    """What makes latents of pictures, if they are shown."""
+    if obs not in ("state", "latent", "image"):
+        raise ValueError(f"obs is {obs!r}: state, latent or image")
+    if obs != "latent":
+        return None
+    return (world if isinstance(world, WorldModel) else WorldModel.load(world)).compiled
+
+
 class _Batch:
     """Flights and the arrays that they write into."""
 
@@ -63,11 +72,7 @@ class _Batch:
         threads: int,
         world: WorldModel | str,
     ) -> None:
-        if obs not in ("state", "latent", "image"):
-            raise ValueError(f"obs is {obs!r}: state, latent or image")
-        model: _crpl.WorldModel | None = None
-        if obs == "latent":
-            model = (world if isinstance(world, WorldModel) else WorldModel.load(world)).compiled
+        model = _model(obs, world)
         self.parameters = scenario(of)
         self.flights = _crpl.Flights(source(self.parameters), obs, range(count), autoreset, threads, model)
         shape: tuple[int, ...] = (100, 100, 3) if obs == "image" else (self.flights.width,)

@@ -5,6 +5,7 @@
 //! Python; the package `gcs/python` makes a Gymnasium environment of it.
 
 pub mod batch;
+pub mod fleet;
 mod recorded;
 
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use crpl_sitl::radio::message::{Command, Telemetry};
 use crpl_sitl::sim::metric::FlightScore;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::units::TxPower;
+use crpl_sitl::world::dynamics::State;
 use crpl_sitl::{Scenario, Sim};
 use nalgebra::Vector2;
 
@@ -112,14 +114,14 @@ impl OpenFlight {
         };
         let (before, view) = (sim.telemetry(), view.clone());
         let mut flight = Self { sim, view, belief, before, records: Vec::new() };
-        flight.look();
+        flight.look(&[]);
         flight
     }
 
-    /// The encoder's look at the frame of this tick.
-    fn look(&mut self) {
+    /// The encoder's look at the frame of this tick, in which `others` are drawn as obstacles.
+    fn look(&mut self, others: &[State]) {
         if let (FlightView::Latent(world), Some(belief)) = (&self.view, &mut self.belief) {
-            belief.observe(world, &Heard::from(&self.before), &self.sim.frame());
+            belief.observe(world, &Heard::from(&self.before), &self.sim.frame_with(others));
         }
     }
 
@@ -149,17 +151,29 @@ impl OpenFlight {
 
     /// One control interval under an action, which is cut at ±1. The radio carries it, or the vehicle holds the last.
     pub fn step(&mut self, action: [f32; ACTION]) -> Transition {
+        let command = self.command(action);
+        self.sim.handle(command);
+        self.sim.advance();
+        let transition = self.write_down(&command);
+        self.look(&[]);
+        transition
+    }
+
+    /// An action as a command.
+    fn command(&self, action: [f32; ACTION]) -> Command {
         let [x, y, power] = action.map(|a| f64::from(a).clamp(-1.0, 1.0));
         let scenario = self.sim.scenario();
         let wish = scenario.dynamics.a_max * Vector2::new(x, y);
         let power = if power > 0.0 { TxPower::High } else { TxPower::Low };
         let accel = scenario.scale.ned_from_paper_acceleration(wish);
-        let command = Command::new(self.sim.tick(), accel, power);
-        self.sim.handle(command);
-        self.sim.advance();
+        Command::new(self.sim.tick(), accel, power)
+    }
+
+    /// The interval that was flown under a command.
+    fn write_down(&mut self, command: &Command) -> Transition {
         let after = self.sim.telemetry();
         let scenario = self.sim.scenario();
-        let record = Record::new(&self.before, &command, &after, scenario);
+        let record = Record::new(&self.before, command, &after, scenario);
         let transition = Transition {
             reward: -scenario.stage_cost(record.r_next, record.flown, record.power),
             terminated: self.sim.is_fallen(),
@@ -168,7 +182,6 @@ impl OpenFlight {
         };
         self.before = after;
         self.records.push(record);
-        self.look();
         transition
     }
 

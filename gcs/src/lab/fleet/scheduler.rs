@@ -18,6 +18,9 @@ pub enum Scheduler {
 }
 
 impl Scheduler {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Tdma, Self::RoundRobin, Self::Predicted];
+
     /// The word of tables.
     #[must_use]
     pub fn name(self) -> &'static str {

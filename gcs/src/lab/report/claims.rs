@@ -334,6 +334,7 @@ pub const CLAIMS: &[Claim] = &[
 mod tests {
     use super::*;
     use crate::lab::report::SWEEPS;
+    use crate::lab::sweep::axis::SweepPoint;
     use crate::lab::sweep::episode::SweepEpisode;
     use crate::lab::sweep::plan::{Overrides, SweepFile, SweepModels, SweepPlan};
     use crpl_sitl::sim::metric::PerMetric;
@@ -371,7 +372,7 @@ mod tests {
         for (n, x) in plan.points.iter().enumerate() {
             for controller in plan.controllers.clone() {
                 episodes.extend((0..4_u8).map(|seed| SweepEpisode {
-                    x: *x,
+                    point: SweepPoint::on(*x),
                     controller,
                     seed: seed.into(),
                     metrics: PerMetric::from_fn(|_| 1.0 + f64::from(seed) + n as f64),

@@ -28,12 +28,13 @@ use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 
 use crpl_sitl::program::flight_log;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
 
 use crate::lab::policies;
 use crate::lab::sweep;
 use crate::lab::sweep::folder::Folder;
-use crate::lab::sweep::plan::{Overrides, Shard, SweepFile};
+use crate::lab::sweep::plan::{Overrides, SweepFile};
 use crate::station::models::{ModelFiles, Models};
 use crate::station::pilot::{Controller, ControllerParser};
 use page::Page;

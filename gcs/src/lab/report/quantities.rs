@@ -81,7 +81,7 @@ impl SweepQuantity {
     pub fn measure(self, who: Subject, plan: &SweepPlan, episodes: &[SweepEpisode]) -> Option<Mean> {
         let Subject { of, over } = who;
         let values = |x: f64, controller: Controller, metric: Metric| -> Option<Vec<f64>> {
-            let flights = episodes.iter().filter(|e| e.x == x && e.controller == controller);
+            let flights = episodes.iter().filter(|e| e.point.x == x && e.controller == controller);
             let values: Vec<f64> = flights.map(|e| e.metrics[metric]).collect();
             (!values.is_empty()).then_some(values)
         };

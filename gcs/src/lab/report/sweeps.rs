@@ -13,31 +13,12 @@ use super::page::Page;
 use super::quantities::SweepQuantity;
 use super::rows::{self, VerdictRow};
 use super::verdict::Said;
+use crate::lab::sweep::axis::SweepPoint;
 use crate::lab::sweep::episode::SweepEpisode;
+use crate::lab::sweep::figure;
 use crate::lab::sweep::folder::Folder;
-use crate::lab::sweep::plan::SweepPlan;
 use crate::lab::sweep::table::{self, TableRow};
 use crate::station::pilot::Controller;
-
-/// Name, symbol and unit of a sweep's axis: of the paper's axes; else the key.
-fn axis_name(key: &str) -> String {
-    match key {
-        "radio.b_dt" => "bandwidth times interval B Δt, Hz s".into(),
-        "disturbance.sigma_c" => "gusts σ_c, field widths per interval".into(),
-        key => key.to_owned(),
-    }
-}
-
-/// Name, symbol and unit of a metric.
-fn metric_name(metric: Metric) -> String {
-    let unit = match metric {
-        Metric::TerminalDistance => "field widths",
-        Metric::TransmitEnergy => "power levels times intervals",
-        Metric::Outages => "intervals",
-        metric => metric.unit(),
-    };
-    if unit.is_empty() { metric.symbol().to_owned() } else { format!("{}, {unit}", metric.symbol()) }
-}
 
 /// A finished sweep with its table.
 #[derive(Debug)]
@@ -56,13 +37,17 @@ impl Finished {
     }
 
     fn row(&self, x: f64, controller: Controller) -> Option<&TableRow> {
-        self.rows.iter().find(|r| r.x == x && r.controller == controller)
+        self.rows.iter().find(|r| r.point == SweepPoint::on(x) && r.controller == controller)
     }
 
     /// What the paper says of this sweep, and what these flights say of that.
     #[must_use]
     pub fn verdicts(&self) -> Vec<VerdictRow> {
         let plan = &self.folder.plan;
+        if plan.second.is_some() {
+            // The paper's sweeps have one axis.
+            return Vec::new();
+        }
         let row = |claim: &Claim, quantity: SweepQuantity| {
             let ours = quantity.measure(claim.who, plan, &self.episodes);
             VerdictRow::of_sweep(&plan.name, claim, quantity, ours)
@@ -95,23 +80,13 @@ impl Finished {
 
     fn panel(&self, metric: Metric) -> Chart {
         let plan = &self.folder.plan;
-        let curve = |(n, controller): (usize, &Controller)| {
-            let rows: Vec<(f64, _)> = plan
-                .points
-                .iter()
-                .filter_map(|x| Some((*x, self.row(*x, *controller)?.means[metric])))
-                .collect();
-            let points = rows.iter().map(|(x, m)| (*x, m.mean)).collect();
-            let band = rows.iter().map(|(x, m)| (*x, m.ci[0], m.ci[1])).collect();
-            Series { band, ..Series::line(controller.to_string(), n, points).styled(Style::Dotted) }
-        };
         let marks = self.marks().filter(|mark| mark.2 == metric).filter_map(|(controller, x, _, paper)| {
             let n = plan.controllers.iter().position(|c| *c == controller)?;
             let crpl = self.row(x, Controller::Crpl)?.means[metric].mean;
             let at = (x, paper * crpl.max(metric.floor()));
             Some(Series::line("the paper's ratio times our crpl", n, vec![at]).styled(Style::Diamond))
         });
-        let curves = plan.controllers.iter().enumerate().map(curve);
+        let curves = figure::curves(plan, &self.rows, metric);
         Chart {
             title: match plan.uncovered.as_slice() {
                 [] => metric.title().to_owned(),
@@ -120,9 +95,9 @@ impl Finished {
                     format!("{} (crpl outside its policy's world at {})", metric.title(), at.join(", "))
                 }
             },
-            x: axis_name(&plan.axis),
-            y: metric_name(metric),
-            series: curves.chain(marks).collect(),
+            x: figure::axis_name(&plan.axis),
+            y: figure::metric_name(metric),
+            series: curves.into_iter().chain(marks).collect(),
             panel: true,
             ..Chart::default()
         }
@@ -131,8 +106,8 @@ impl Finished {
     /// Verdicts, for a terminal.
     #[must_use]
     pub fn text(&self, verdicts: &[VerdictRow]) -> String {
-        let SweepPlan { name, axis, .. } = &self.folder.plan;
-        format!("Sweep {name} over {axis}\n{}", rows::text(verdicts, columns::width()))
+        let plan = &self.folder.plan;
+        format!("Sweep {} over {}\n{}", plan.name, plan.axes(), rows::text(verdicts, columns::width()))
     }
 
     /// Adds a section, and leaves figures and tables in `dir`.
@@ -141,7 +116,7 @@ impl Finished {
     /// A figure or table cannot be written.
     pub fn show(&self, page: &mut Page, dir: &Path, words: &str, verdicts: &[VerdictRow]) -> Result<()> {
         let plan = &self.folder.plan;
-        page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axis));
+        page.section(&format!("Sweep {}: the five metrics over {}", plan.name, plan.axes()));
         page.text(&format!(
             "{} flights per point and controller from seed {}, the same gusts for every controller; mean and its \
              95 % interval. Frames are rendered and encoded at every step.",
@@ -168,9 +143,13 @@ impl Finished {
 
     fn tables(&self, page: &mut Page) {
         let head = |metrics: &mut dyn Iterator<Item = Metric>| -> Vec<String> {
-            ["x", "controller"].into_iter().chain(metrics.map(Metric::key)).map(String::from).collect()
+            let point = ["x", "y"].into_iter().take(self.folder.plan.axis_count());
+            point.chain(["controller"]).chain(metrics.map(Metric::key)).map(String::from).collect()
         };
-        let start = |row: &TableRow| vec![row.x.to_string(), row.controller.to_string()];
+        let start = |row: &TableRow| -> Vec<String> {
+            let point = std::iter::once(row.point.x).chain(row.point.y).map(|x| x.to_string());
+            point.chain([row.controller.to_string()]).collect()
+        };
         let means = self.rows.iter().map(|row| {
             let cells = Metric::ALL.map(|m| table::mean_cell(m, &row.means[m]));
             let count = |outcome| (row.share(outcome) * row.episodes as f64).round();

@@ -5,6 +5,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result, bail};
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 
+use super::axis::SweepPoint;
 use crate::lab::Contender;
 use crate::station::pilot::Controller;
 use crate::tools::parquet::{Column, Values};
@@ -12,8 +13,8 @@ use crate::tools::parquet::{Column, Values};
 /// One flight's score.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepEpisode {
-    /// Value of the sweep's axis.
-    pub x: f64,
+    /// Value of the sweep's axis, and of its second one.
+    pub point: SweepPoint,
     /// Who flew.
     pub controller: Controller,
     /// Seed of the disturbance.
@@ -25,27 +26,30 @@ pub struct SweepEpisode {
 }
 
 impl SweepEpisode {
-    /// Names of the columns.
-    pub fn head() -> impl Iterator<Item = &'static str> {
+    /// Names of the columns, of a sweep over one axis or two.
+    pub fn head(axes: usize) -> impl Iterator<Item = &'static str> {
         let metrics = Metric::ALL.into_iter().map(Metric::key);
         let outcomes = FlightOutcome::ALL.into_iter().map(FlightOutcome::key);
-        ["x", "controller", "seed"].into_iter().chain(metrics).chain(outcomes)
+        let point = ["x", "y"].into_iter().take(axes);
+        point.chain(["controller", "seed"]).chain(metrics).chain(outcomes)
     }
 
     /// Flies it: a pure function of contender, point and seed.
     ///
     /// # Errors
     /// If no interval was flown.
-    pub fn fly(contender: &Contender, x: f64, seed: u64) -> Result<Self> {
+    pub fn fly(contender: &Contender, point: SweepPoint, seed: u64) -> Result<Self> {
         let score = contender.fly(seed)?;
         let controller = contender.controller;
-        Ok(Self { x, controller, seed, metrics: score.metrics, outcomes: score.outcomes })
+        Ok(Self { point, controller, seed, metrics: score.metrics, outcomes: score.outcomes })
     }
 
     /// One line with its end.
     #[must_use]
     pub fn line(&self) -> Vec<u8> {
-        let mut cells = vec![self.x.to_string(), self.controller.to_string(), self.seed.to_string()];
+        let mut cells = vec![self.point.x.to_string()];
+        cells.extend(self.point.y.map(|y| y.to_string()));
+        cells.extend([self.controller.to_string(), self.seed.to_string()]);
         // The shortest text that reads back as the same number; whole numbers without a point.
         cells.extend(self.metrics.iter().map(|(_, value)| value.to_string()));
         cells.extend(self.outcomes.iter().map(bool::to_string));
@@ -65,9 +69,12 @@ impl SweepEpisode {
         });
         let outcomes = FlightOutcome::ALL
             .map(|outcome| Values::Booleans(episodes.iter().map(|e| e.outcomes[outcome as usize]).collect()));
-        let values =
-            [reals(&|e| e.x), controllers, integers(&|e| e.seed)].into_iter().chain(metrics).chain(outcomes);
-        Self::head().zip(values).map(|(name, values)| Column { name, values }).collect()
+        let second: Option<Vec<f64>> = episodes.iter().map(|e| e.point.y).collect();
+        let second = second.filter(|all| !all.is_empty()).map(Values::Reals);
+        let axes = 1 + usize::from(second.is_some());
+        let point = std::iter::once(reals(&|e| e.point.x)).chain(second);
+        let values = point.chain([controllers, integers(&|e| e.seed)]).chain(metrics).chain(outcomes);
+        Self::head(axes).zip(values).map(|(name, values)| Column { name, values }).collect()
     }
 
     /// The episodes of a whole table.
@@ -76,22 +83,25 @@ impl SweepEpisode {
     /// If the head is not [`SweepEpisode::head`], or a line is no episode: the error names the line.
     pub fn read(table: &[u8]) -> Result<Vec<Self>> {
         let mut lines = std::str::from_utf8(table)?.lines();
-        if !lines.next().is_some_and(|head| head.split(',').eq(Self::head())) {
+        let head = lines.next().unwrap_or_default();
+        let Some(axes) = [1, 2].into_iter().find(|axes| head.split(',').eq(Self::head(*axes))) else {
             bail!("line 1 is not the head of a table of episodes");
-        }
+        };
         lines
             .enumerate()
-            .map(|(n, line)| Self::parse(line).with_context(|| format!("line {}", n + 2)))
+            .map(|(n, line)| Self::parse(line, axes).with_context(|| format!("line {}", n + 2)))
             .collect()
     }
 
-    fn parse(line: &str) -> Result<Self> {
-        let (cells, columns) = (line.split(',').count(), Self::head().count());
+    fn parse(line: &str, axes: usize) -> Result<Self> {
+        let (cells, columns) = (line.split(',').count(), Self::head(axes).count());
         if cells != columns {
             bail!("{cells} columns instead of {columns}");
         }
-        let mut cells = Self::head().zip(line.split(','));
-        let (x, controller, seed) = (cell(cells.next())?, cells.next(), cell(cells.next())?);
+        let mut cells = Self::head(axes).zip(line.split(','));
+        let x = cell(cells.next())?;
+        let y = if axes > 1 { Some(cell(cells.next())?) } else { None };
+        let (controller, seed) = (cells.next(), cell(cells.next())?);
         let (_, controller) = controller.unwrap_or_default();
         let controller: Controller = controller.parse()?;
         let metrics = Metric::ALL.iter().map(|_| cell(cells.next())).collect::<Result<Vec<f64>>>()?;
@@ -99,7 +109,8 @@ impl SweepEpisode {
         for outcome in &mut outcomes {
             *outcome = cell(cells.next())?;
         }
-        Ok(Self { x, controller, seed, metrics: PerMetric::from_fn(|m| metrics[m as usize]), outcomes })
+        let point = SweepPoint { x, y };
+        Ok(Self { point, controller, seed, metrics: PerMetric::from_fn(|m| metrics[m as usize]), outcomes })
     }
 }
 
@@ -120,13 +131,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn read(line: &str) -> Result<Vec<SweepEpisode>> {
-        SweepEpisode::read(&[&super::line(SweepEpisode::head()), line.as_bytes()].concat())
+        SweepEpisode::read(&[&super::line(SweepEpisode::head(1)), line.as_bytes()].concat())
     }
 
     #[test]
     fn a_line_that_is_none_says_why() {
         let error = |line: &str| crpl_sitl::program::terminal::one_line(&read(line).unwrap_err());
-        let columns = SweepEpisode::head().count();
+        let columns = SweepEpisode::head(1).count();
         assert_eq!(error("2.5,rcc,1"), format!("line 2: 3 columns instead of {columns}"));
         let line = |name: &str, text: &str| {
             let of = |column| match column {
@@ -135,7 +146,7 @@ mod tests {
                 column if FlightOutcome::ALL.iter().any(|outcome| outcome.key() == column) => "true",
                 _ => "0",
             };
-            SweepEpisode::head().map(of).collect::<Vec<_>>().join(",")
+            SweepEpisode::head(1).map(of).collect::<Vec<_>>().join(",")
         };
         assert!(read(&line("", "")).is_ok());
         assert_eq!(error(&line("controller", "nobody")), "line 2: no controller is called \"nobody\"");
@@ -153,9 +164,12 @@ mod tests {
                 false => values[m as usize],
             });
             let outcomes = [reached, !reached, false];
-            let episode = SweepEpisode { x, controller: Controller::Ucc, seed, metrics, outcomes };
-            let line = String::from_utf8(episode.line()).unwrap();
-            prop_assert_eq!(read(&line).unwrap(), [episode]);
+            for (axes, y) in [(1, None), (2, Some(x / 3.0))] {
+                let point = SweepPoint { x, y };
+                let episode = SweepEpisode { point, controller: Controller::Ucc, seed, metrics, outcomes };
+                let table = [line(SweepEpisode::head(axes)), episode.line()].concat();
+                prop_assert_eq!(SweepEpisode::read(&table).unwrap(), [episode]);
+            }
         }
     }
 }

@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::program::files::write_whole;
+use crpl_sitl::program::shard::Shard;
 use serde::{Deserialize, Serialize};
 
+use super::axis::SweepPoint;
 use super::episode::{self, SweepEpisode};
 use super::journal::Journal;
-use super::plan::{Shard, SweepPlan};
-use super::table;
+use super::plan::SweepPlan;
+use super::{figure, table};
 use crate::tools::parquet;
 
 /// What `sweep.toml` says.
@@ -102,7 +104,7 @@ impl Folder {
         if let Some(episodes) = self.finished()? {
             return Ok(Progress::Finished(episodes));
         }
-        let (journal, episodes) = Journal::open(&self.part())?;
+        let (journal, episodes) = Journal::open(&self.part(), self.plan.axis_count())?;
         self.check_belong(&episodes, &self.part())?;
         Ok(Progress::Begun(journal, episodes))
     }
@@ -130,34 +132,40 @@ impl Folder {
     /// An episode is missing, or a file cannot be written.
     pub fn finish(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
         let episodes = self.in_order(episodes)?;
-        self.write("points.csv", table::csv(&self.plan, &table::rows(&self.plan, &episodes)).as_bytes())?;
+        let rows = table::rows(&self.plan, &episodes);
+        self.write("points.csv", table::csv(&self.plan, &rows).as_bytes())?;
+        if self.plan.second.is_some() {
+            figure::save(&self.plan, &rows, &self.dir)?;
+        }
         let names: Vec<String> = episodes.iter().map(|e| e.controller.to_string()).collect();
         let mut bytes = Vec::new();
         let manifest = self.manifest()?;
         parquet::write(&mut bytes, &SweepEpisode::columns(&episodes, &names), &[("sweep.toml", &manifest)])?;
         self.write("episodes.parquet", &bytes)?;
-        let lines = std::iter::once(episode::line(SweepEpisode::head()))
+        let lines = std::iter::once(episode::line(SweepEpisode::head(self.plan.axis_count())))
             .chain(episodes.iter().map(SweepEpisode::line));
         self.write("episodes.csv", &lines.flatten().collect::<Vec<u8>>())?;
         Ok(episodes)
     }
 
-    /// Value of the axis, controller and seed of every episode: points in their order, controllers
-    /// in theirs, seeds ascending.
-    fn units(&self) -> impl Iterator<Item = (f64, crate::station::pilot::Controller, u64)> {
+    /// Point, controller and seed of every episode: points in their order, controllers in theirs, seeds ascending.
+    fn units(&self) -> impl Iterator<Item = (SweepPoint, crate::station::pilot::Controller, u64)> {
         let plan = &self.plan;
-        plan.points.iter().flat_map(move |x| {
-            plan.controllers.iter().flat_map(move |c| self.shard.seeds(plan).map(move |seed| (*x, *c, seed)))
+        plan.grid().into_iter().flat_map(move |point| {
+            plan.controllers
+                .iter()
+                .flat_map(move |c| plan.seeds_of(self.shard).map(move |seed| (point, *c, seed)))
         })
     }
 
     fn check_belong(&self, episodes: &[SweepEpisode], path: &Path) -> Result<()> {
         let plan = &self.plan;
+        let grid = plan.grid();
         let belongs = |e: &SweepEpisode| {
-            plan.points.contains(&e.x)
+            grid.contains(&e.point)
                 && plan.controllers.contains(&e.controller)
                 && plan.seeds().contains(&e.seed)
-                && (e.seed - plan.first_seed) % self.shard.of == self.shard.number - 1
+                && self.shard.has(e.seed - plan.first_seed)
         };
         match episodes.iter().position(|e| !belongs(e)) {
             Some(n) => bail!("{}: line {} is not of this sweep", path.display(), n + 2),
@@ -166,13 +174,13 @@ impl Folder {
     }
 
     fn in_order(&self, episodes: Vec<SweepEpisode>) -> Result<Vec<SweepEpisode>> {
-        let key = |x: f64, controller, seed| (x.to_bits(), controller, seed);
+        let key = |point: SweepPoint, controller, seed| (point.bits(), controller, seed);
         let mut found: BTreeMap<_, SweepEpisode> =
-            episodes.into_iter().map(|e| (key(e.x, e.controller, e.seed), e)).collect();
-        let mut next = |(x, controller, seed)| {
+            episodes.into_iter().map(|e| (key(e.point, e.controller, e.seed), e)).collect();
+        let mut next = |(point, controller, seed)| {
             found
-                .remove(&key(x, controller, seed))
-                .with_context(|| format!("{} = {x}, {controller}, seed {seed} is missing", self.plan.axis))
+                .remove(&key(point, controller, seed))
+                .with_context(|| format!("{}, {controller}, seed {seed} is missing", self.plan.at(point)))
         };
         self.units().map(&mut next).collect()
     }

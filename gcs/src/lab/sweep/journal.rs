@@ -23,11 +23,11 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens or begins a journal, and gives the episodes that stand in it.
+    /// Opens or begins a journal of a sweep over so many axes, and gives the episodes that stand in it.
     ///
     /// # Errors
     /// The file cannot be read or written, or is no journal.
-    pub fn open(path: &Path) -> Result<(Self, Vec<SweepEpisode>)> {
+    pub fn open(path: &Path, axes: usize) -> Result<(Self, Vec<SweepEpisode>)> {
         let name = path.display();
         let mut file = OpenOptions::new()
             .read(true)
@@ -42,7 +42,7 @@ impl Journal {
         file.set_len(whole as u64).with_context(|| format!("cutting the torn end off {name}"))?;
         file.seek(SeekFrom::End(0)).with_context(|| format!("reading {name}"))?;
         let episodes = if whole == 0 {
-            file.write_all(&episode::line(SweepEpisode::head()))
+            file.write_all(&episode::line(SweepEpisode::head(axes)))
                 .with_context(|| format!("writing {name}"))?;
             Vec::new()
         } else {
@@ -86,6 +86,7 @@ fn lock(file: &File, path: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lab::sweep::axis::SweepPoint;
     use crpl_sitl::sim::metric::PerMetric;
 
     use crate::station::pilot::Controller;
@@ -93,21 +94,21 @@ mod tests {
     fn episode(seed: u64) -> SweepEpisode {
         let metrics = PerMetric::from_fn(|m| 0.1 * (m as usize + 1) as f64 / (seed + 1) as f64);
         let outcomes = [true, true, false];
-        SweepEpisode { x: 2.5, controller: Controller::Rcc, seed, metrics, outcomes }
+        SweepEpisode { point: SweepPoint::on(2.5), controller: Controller::Rcc, seed, metrics, outcomes }
     }
 
     #[test]
     fn a_journal_goes_on_where_it_was_cut_at_any_byte() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("journal.csv");
-        let (journal, none) = Journal::open(&path).unwrap();
+        let (journal, none) = Journal::open(&path, 1).unwrap();
         assert!(none.is_empty());
         (0..3).for_each(|seed| journal.add(&episode(seed)).unwrap());
         drop(journal);
         let whole = std::fs::read(&path).unwrap();
         for cut in 0..=whole.len() {
             std::fs::write(&path, &whole[..cut]).unwrap();
-            let (journal, kept) = Journal::open(&path).unwrap();
+            let (journal, kept) = Journal::open(&path, 1).unwrap();
             (kept.len() as u64..3).for_each(|seed| journal.add(&episode(seed)).unwrap());
             drop(journal);
             assert_eq!(std::fs::read(&path).unwrap(), whole, "cut at {cut}");
@@ -118,8 +119,8 @@ mod tests {
     fn two_processes_cannot_write_one_journal() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("journal.csv");
-        let _held = Journal::open(&path).unwrap();
-        let error = Journal::open(&path).unwrap_err().to_string();
+        let _held = Journal::open(&path, 1).unwrap();
+        let error = Journal::open(&path, 1).unwrap_err().to_string();
         assert!(error.ends_with("another process is writing it"), "{error}");
     }
 
@@ -129,11 +130,11 @@ mod tests {
         let path = dir.path().join("journal.csv");
         let error = |table: &[u8]| {
             std::fs::write(&path, table).unwrap();
-            crpl_sitl::program::terminal::one_line(&Journal::open(&path).unwrap_err())
+            crpl_sitl::program::terminal::one_line(&Journal::open(&path, 1).unwrap_err())
         };
         let said =
-            error(&[&episode::line(SweepEpisode::head())[..], &episode(0).line(), b"nonsense\n"].concat());
-        let columns = SweepEpisode::head().count();
+            error(&[&episode::line(SweepEpisode::head(1))[..], &episode(0).line(), b"nonsense\n"].concat());
+        let columns = SweepEpisode::head(1).count();
         assert!(said.ends_with(&format!("journal.csv: line 3: 1 columns instead of {columns}")), "{said}");
         assert!(error(b"a,b\n").ends_with("line 1 is not the head of a table of episodes"));
     }

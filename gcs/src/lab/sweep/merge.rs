@@ -1,11 +1,12 @@
-//! `gcs merge`: the shards of a sweep become the sweep, as if one run had flown it.
+//! `gcs merge`: the shards of a sweep, or of random worlds, become the whole, as if one run had made it.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
+use crpl_sitl::program::shard::Shard;
 
 use super::folder::Folder;
-use super::plan::Shard;
+use crate::lab::random::{self, RandomFolder};
 
 /// Flags of `gcs merge`.
 #[derive(Debug, clap::Args)]
@@ -13,7 +14,7 @@ pub struct Merge {
     /// Folders of all shards
     #[arg(required = true, value_name = "DIR")]
     shards: Vec<PathBuf>,
-    /// Folder of the whole sweep
+    /// Folder of the whole
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Print one JSON line per point and controller
@@ -26,6 +27,9 @@ pub struct Merge {
 /// # Errors
 /// Folders that are not all shards of one sweep, and files that cannot be written.
 pub fn run(args: &Merge) -> Result<()> {
+    if args.shards.iter().any(|dir| RandomFolder::is_one(dir)) {
+        return random::merge(&args.shards, &args.out, args.json);
+    }
     let folders = args.shards.iter().map(|dir| Folder::open(dir)).collect::<Result<Vec<_>>>()?;
     check(&folders)?;
     let mut episodes = Vec::new();
@@ -44,24 +48,13 @@ pub fn run(args: &Merge) -> Result<()> {
 /// Whether these are the shards of one sweep, each once.
 fn check(folders: &[Folder]) -> Result<()> {
     let Some(first) = folders.first() else { bail!("no shard") };
-    for (n, folder) in folders.iter().enumerate() {
-        let (dir, before) = (folder.dir().display(), &folders[..n]);
+    for folder in folders {
         if let Some(difference) = first.plan.difference(&folder.plan)? {
-            bail!("{} and {dir} are of different sweeps: {difference}", first.dir().display());
-        }
-        if folder.shard.of != first.shard.of {
-            let (a, b) = (first.shard, folder.shard);
-            bail!("{} is shard {a} and {dir} is shard {b}: of different numbers", first.dir().display());
-        }
-        if let Some(twin) = before.iter().find(|b| b.shard == folder.shard) {
-            bail!("{} and {dir} both hold shard {}", twin.dir().display(), folder.shard);
+            let (a, b) = (first.dir().display(), folder.dir().display());
+            bail!("{a} and {b} are of different sweeps: {difference}");
         }
     }
-    let of = first.shard.of;
-    let is_there = |number: &u64| folders.iter().any(|f| f.shard.number == *number);
-    let missing: Vec<String> = (1..=of).filter(|n| !is_there(n)).map(|n| format!("{n}/{of}")).collect();
-    if !missing.is_empty() {
-        bail!("missing: shard {}", missing.join(", "));
-    }
-    Ok(())
+    let named: Vec<(String, Shard)> =
+        folders.iter().map(|folder| (folder.dir().display().to_string(), folder.shard)).collect();
+    Shard::lack(&named).map_or(Ok(()), |lack| bail!(lack))
 }

@@ -6,17 +6,21 @@
 //!
 //! | module | what it is | what it does not know |
 //! |---|---|---|
+//! | [`axis`] | one key or two, with their values | flying |
 //! | [`plan`] | what is flown, resolved, with a hash; its shards | flying |
 //! | [`episode`] | one flight as a line of a table | other flights |
 //! | [`journal`] | finished episodes, safe against any end of the process | what they mean |
 //! | [`folder`] | files of a sweep, begun or finished | flying |
 //! | [`table`] | means, intervals, ratios | files |
+//! | [`figure`] | curves of a metric, a family of them where there are two axes | files of a sweep |
 //! | [`merge`] | shards to one sweep | flying |
 //!
 //! A unit of work is a point, a controller and a seed; its result depends on the plan and on these alone, so
 //! neither threads, nor shards, nor interruptions change a byte.
 
+pub mod axis;
 pub mod episode;
+pub mod figure;
 pub mod folder;
 pub mod journal;
 pub mod merge;
@@ -29,6 +33,7 @@ use anyhow::{Context, Result};
 use crpl_model::world_model::checkpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
+use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::{self, Signal, StopSignal};
 use crpl_sitl::program::{columns, progress};
 use rayon::prelude::*;
@@ -39,18 +44,25 @@ use crate::station::pilot::own::AnswerTally;
 use crate::station::pilot::{Controller, ControllerParser};
 use crate::watch::feed::{Feed, WatchEvent};
 use crate::watch::{WatchFlags, WatchPage};
+use axis::{SweepAxis, SweepPoint};
 use episode::SweepEpisode;
 use folder::{Folder, Progress};
 use journal::Journal;
-use plan::{Overrides, Shard, SweepFile, SweepModels, SweepPlan, SweepPolicies, UncoveredPoint};
+use plan::{Overrides, SweepFile, SweepModels, SweepPlan, SweepPolicies, UncoveredPoint};
 use table::TableRow;
 
 /// Flags of `gcs sweep`.
 #[derive(Debug, clap::Args)]
 pub struct Sweep {
-    /// Sweep file (TOML): name, axis, points, controllers, episodes, first_seed, [scenario]
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    /// Sweep file (TOML): name, axis, points, [second], controllers, episodes, first_seed, [scenario]
+    #[arg(long, value_name = "FILE", required_unless_present = "axis")]
+    config: Option<PathBuf>,
+    /// A key of the scenario and its values, a list or FROM:TO:COUNT, such as goal[1]=0.3,0.5 or radio.b_dt=2.5:5:6; twice: each value of one meets each of the other
+    #[arg(long, value_name = "KEY=VALUES", conflicts_with = "points")]
+    axis: Vec<SweepAxis>,
+    /// Without a file, the scenario: TOML file or preset [default: demo]
+    #[arg(long, value_name = "FILE|NAME", conflicts_with = "config")]
+    scenario: Option<String>,
     #[command(flatten)]
     camera: CameraFlag,
     /// Override the file's points
@@ -95,13 +107,19 @@ pub fn run(args: &Sweep) -> Result<()> {
     let mut models = args.models.load()?;
     let flags = Overrides {
         points: args.points.clone(),
+        axes: args.axis.clone(),
         episodes: args.episodes,
         first_seed: args.first_seed,
         controllers: args.controller.clone(),
         camera: args.camera.clone(),
         ..overrides(&args.models)
     };
-    let plan = resolve(SweepFile::load(&args.config)?, &flags, &mut models)?;
+    anyhow::ensure!(args.axis.len() <= 2, "--axis: a sweep has one axis or two, not {}", args.axis.len());
+    let file = match &args.config {
+        Some(config) => SweepFile::load(config)?,
+        None => SweepFile::over(&args.axis, args.scenario.as_deref().unwrap_or("demo"))?,
+    };
+    let plan = resolve(file, &flags, &mut models)?;
     let dir = args.out.clone().unwrap_or_else(|| default_folder(&plan.name, args.shard));
     let folder = Folder::begin(&dir, plan, args.shard)?;
     let page = args.watch.open()?;
@@ -146,15 +164,16 @@ pub fn resolve(file: SweepFile, flags: &Overrides, models: &mut Models) -> Resul
         let fly_policies = plan.controllers.iter().any(|c| c.flies_policies());
         let begin_with_them = plan.controllers.contains(&Controller::CrplRh);
         let (mut all, mut uncovered) = (String::new(), Vec::new());
-        for x in plan.points.iter().filter(|_| fly_policies || begin_with_them) {
-            let scenario = plan.scenario_at(*x)?;
-            let at = || format!("{} = {x}", plan.axis);
+        for point in plan.grid().into_iter().filter(|_| fly_policies || begin_with_them) {
+            let scenario = plan.scenario_at(point)?;
+            let at = || plan.at(point);
             let optimise = plan.policies == SweepPolicies::Optimised;
             policies::cover(models, &plan.controllers, &scenario, optimise).with_context(at)?;
             let origin = models.policies(&scenario, PolicyUse::Begin).with_context(at)?.origin;
             all += &origin.fingerprint;
             if let Some(mismatch) = origin.mismatch().filter(|_| fly_policies) {
-                uncovered.push(UncoveredPoint { x: *x, policy: origin.source, mismatch });
+                let SweepPoint { x, y } = point;
+                uncovered.push(UncoveredPoint { x, y, policy: origin.source, mismatch });
             }
         }
         for own in plan.controllers.iter().filter_map(|c| c.own()) {
@@ -203,22 +222,22 @@ fn fly(
 ) -> Result<Vec<SweepEpisode>> {
     let plan = &folder.plan;
     let mut contenders = Vec::new();
-    for x in &plan.points {
-        let scenario = plan.scenario_at(*x)?;
+    for point in plan.grid() {
+        let scenario = plan.scenario_at(point)?;
         for controller in &plan.controllers {
-            contenders.push((*x, Contender::new(models, *controller, &scenario)?));
+            contenders.push((point, Contender::new(models, *controller, &scenario)?));
         }
     }
     // Seeds outside: slow and quick controllers alternate, so the time left can be told from the first.
-    let mut units: Vec<(&(f64, Contender), u64)> = folder
-        .shard
-        .seeds(plan)
+    let mut units: Vec<(&(SweepPoint, Contender), u64)> = plan
+        .seeds_of(folder.shard)
         .flat_map(|seed| contenders.iter().map(move |contender| (contender, seed)))
         .collect();
     let total = units.len();
     let is_done: std::collections::HashSet<_> =
-        done.iter().map(|e| (e.x.to_bits(), e.controller, e.seed)).collect();
-    units.retain(|((x, contender), seed)| !is_done.contains(&(x.to_bits(), contender.controller, *seed)));
+        done.iter().map(|e| (e.point.bits(), e.controller, e.seed)).collect();
+    units
+        .retain(|((point, contender), seed)| !is_done.contains(&(point.bits(), contender.controller, *seed)));
 
     let bar = progress::bar(plan.name.clone(), total as u64);
     bar.inc((total - units.len()) as u64);
@@ -226,24 +245,24 @@ fn fly(
     let flown: Result<Vec<Option<SweepEpisode>>> = units
         .into_par_iter()
         .with_max_len(1)
-        .map(|((x, contender), seed)| {
+        .map(|((point, contender), seed)| {
             if stop.get().is_some() {
                 return Ok(None);
             }
-            let episode = SweepEpisode::fly(contender, *x, seed)?;
+            let episode = SweepEpisode::fly(contender, *point, seed)?;
             journal.add(&episode)?;
             bar.inc(1);
             if let Some(feed) = feed {
-                let text = format!("{} at {} = {x}", contender.controller, plan.axis);
+                let text = format!("{} at {}", contender.controller, plan.at(*point));
                 feed.send(&WatchEvent::Progress { done: bar.position(), total: total as u64, text });
             }
             Ok(Some(episode))
         })
         .collect();
     bar.finish_and_clear();
-    for (x, contender) in &contenders {
+    for (point, contender) in &contenders {
         if let Some(told) = contender.answers().as_ref().and_then(AnswerTally::told) {
-            tracing::warn!("{} = {x}, {}: {told}", plan.axis, contender.controller);
+            tracing::warn!("{}, {}: {told}", plan.at(*point), contender.controller);
         }
     }
     let flown: Vec<SweepEpisode> = flown?.into_iter().flatten().collect();
@@ -268,8 +287,9 @@ pub fn show(folder: &Folder, episodes: &[SweepEpisode], json: bool) -> Result<()
         }
     } else {
         crpl_sitl::out!("{}", table::text(&folder.plan, &rows, columns::width()));
+        let figure = folder.plan.second.as_ref().map_or("", |_| "the figure, ");
         crpl_sitl::outln!(
-            "\nepisodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
+            "\n{figure}episodes.csv, episodes.parquet, points.csv and sweep.toml in {}",
             folder.dir().display()
         );
     }

@@ -3,17 +3,16 @@
 //!
 //! A plan is resolved before the first flight and decides every number of the result. Its hash names it.
 
-use std::fmt;
 use std::path::Path;
-use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::files::fingerprint;
-use crpl_sitl::scenario::keys::entry;
+use crpl_sitl::program::shard::Shard;
 use serde::{Deserialize, Serialize};
 
+use super::axis::{self, SweepAxis, SweepPoint};
 use crate::station::pilot::Controller;
 
 /// A sweep as it stands in a file: only what it needs.
@@ -25,7 +24,11 @@ pub struct SweepFile {
     /// Dotted key of the scenario that the points set.
     axis: String,
     /// Values of that key.
+    #[serde(deserialize_with = "axis::values")]
     points: Vec<f64>,
+    /// Another key, each of whose values meets each of the first.
+    #[serde(default)]
+    second: Option<SweepAxis>,
     /// Who flies.
     controllers: Vec<Controller>,
     /// Flights per point and controller.
@@ -61,10 +64,21 @@ pub enum SweepPolicies {
 pub struct UncoveredPoint {
     /// Value of the axis.
     pub x: f64,
+    /// Value of the second axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y: Option<f64>,
     /// Which policies fly there.
     pub policy: String,
     /// Where the scenario leaves their world.
     pub mismatch: String,
+}
+
+impl UncoveredPoint {
+    /// Where.
+    #[must_use]
+    pub fn point(&self) -> SweepPoint {
+        SweepPoint { x: self.x, y: self.y }
+    }
 }
 
 /// What flies a plan: fingerprints, and the points that the policies do not cover.
@@ -93,6 +107,8 @@ fn default_first_seed() -> u64 {
 pub struct Overrides {
     /// Other points.
     pub points: Option<Vec<f64>>,
+    /// Other axes, one or two; empty: the file's.
+    pub axes: Vec<SweepAxis>,
     /// Another number of flights.
     pub episodes: Option<u64>,
     /// Another first seed.
@@ -115,6 +131,9 @@ pub struct SweepPlan {
     pub axis: String,
     /// Values of that key.
     pub points: Vec<f64>,
+    /// Another key and its values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub second: Option<SweepAxis>,
     /// Who flies.
     pub controllers: Vec<Controller>,
     /// Flights per point and controller.
@@ -132,7 +151,7 @@ pub struct SweepPlan {
     pub uncovered: Vec<UncoveredPoint>,
     /// Name of the code that flies ([`crate::sources`]).
     pub code: String,
-    /// The whole scenario; `axis` takes the points' values.
+    /// The whole scenario; the axes take the points' values.
     pub scenario: Scenario,
 }
 
@@ -144,6 +163,25 @@ impl SweepFile {
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("reading {}", path.display()))
+    }
+
+    /// A sweep that flags alone describe: CRPL and RCC in a scenario.
+    ///
+    /// # Errors
+    /// There is no such scenario.
+    pub fn over(axes: &[SweepAxis], scenario: &str) -> Result<Self> {
+        let scenario = Scenario::named(scenario)?;
+        Ok(Self {
+            name: axis::name_of(axes),
+            axis: String::new(),
+            points: Vec::new(),
+            second: None,
+            controllers: vec![Controller::Crpl, Controller::Rcc],
+            episodes: default_episodes(),
+            first_seed: default_first_seed(),
+            policies: SweepPolicies::default(),
+            scenario: toml::Table::try_from(&scenario)?,
+        })
     }
 
     /// Parses the text of a file.
@@ -166,10 +204,15 @@ impl SweepFile {
     ) -> Result<SweepPlan> {
         let mut scenario = Scenario::from_toml(&toml::to_string(&self.scenario)?).context("[scenario]")?;
         flags.camera.put(&mut scenario)?;
+        let mut axes = flags.axes.iter().cloned();
+        let own = || SweepAxis { axis: self.axis, points: self.points };
+        let first = axes.next().unwrap_or_else(own);
+        let second = if flags.axes.is_empty() { self.second } else { axes.next() };
         let mut plan = SweepPlan {
             name: self.name,
-            axis: self.axis,
-            points: flags.points.clone().unwrap_or(self.points),
+            axis: first.axis,
+            points: flags.points.clone().unwrap_or(first.points),
+            second,
             controllers: flags.controllers.clone().unwrap_or(self.controllers),
             episodes: flags.episodes.unwrap_or(self.episodes),
             first_seed: flags.first_seed.unwrap_or(self.first_seed),
@@ -193,11 +236,15 @@ impl SweepPlan {
         if self.name.is_empty() || !self.name.chars().all(in_a_name) {
             bail!("name = {:?}: must be letters, digits, - and _: a folder is named after it", self.name);
         }
-        if self.points.is_empty() || self.controllers.is_empty() || self.episodes == 0 {
+        let lists = || std::iter::once(&self.points).chain(self.second.iter().map(|axis| &axis.points));
+        if lists().any(Vec::is_empty) || self.controllers.is_empty() || self.episodes == 0 {
             bail!("a sweep needs a point, a controller and an episode, at least one each");
         }
-        if let Some(twice) = repeated(&self.points) {
+        if let Some(twice) = lists().find_map(|points| repeated(points)) {
             bail!("points: {twice} stands there twice");
+        }
+        if let Some(twin) = self.second.as_ref().filter(|second| second.axis == self.axis) {
+            bail!("both axes are {}", twin.axis);
         }
         if let Some(twice) = repeated(&self.controllers) {
             bail!("controllers: {twice} stands there twice");
@@ -206,26 +253,59 @@ impl SweepPlan {
         if last.is_none_or(|last| i64::try_from(last).is_err()) {
             bail!("first_seed = {}: {} seeds from there on leave 63 bits", self.first_seed, self.episodes);
         }
-        self.points.iter().try_for_each(|x| self.scenario_at(*x).map(drop))
+        self.grid().iter().try_for_each(|point| self.scenario_at(*point).map(drop))
     }
 
-    /// The scenario in which `axis` has the value `x`.
+    /// All points: those of the first axis in their order, for each value of the second.
+    #[must_use]
+    pub fn grid(&self) -> Vec<SweepPoint> {
+        let row = |y| self.points.iter().map(move |x| SweepPoint { x: *x, y });
+        match &self.second {
+            None => row(None).collect(),
+            Some(second) => second.points.iter().flat_map(|y| row(Some(*y))).collect(),
+        }
+    }
+
+    /// A point in words.
+    #[must_use]
+    pub fn at(&self, point: SweepPoint) -> String {
+        let first = format!("{} = {}", self.axis, point.x);
+        let second = self.second.as_ref().zip(point.y);
+        second.map_or_else(|| first.clone(), |(axis, y)| format!("{first}, {} = {y}", axis.axis))
+    }
+
+    /// How many keys are varied.
+    #[must_use]
+    pub fn axis_count(&self) -> usize {
+        1 + usize::from(self.second.is_some())
+    }
+
+    /// What is varied, in words.
+    #[must_use]
+    pub fn axes(&self) -> String {
+        match &self.second {
+            None => self.axis.clone(),
+            Some(second) => format!("{} and {}", self.axis, second.axis),
+        }
+    }
+
+    /// The scenario of a point.
     ///
     /// # Errors
-    /// The axis is no number of a scenario, or the value is out of its range.
-    pub fn scenario_at(&self, x: f64) -> Result<Scenario> {
-        let axis = &self.axis;
+    /// An axis is no number of a scenario, or the value is out of its range.
+    pub fn scenario_at(&self, point: SweepPoint) -> Result<Scenario> {
         let mut root = toml::Value::try_from(&self.scenario)?;
-        match entry(&mut root, axis).with_context(|| format!("axis = {axis:?}"))? {
-            toml::Value::Float(value) => *value = x,
-            toml::Value::Integer(value) if x.fract() == 0.0 => *value = x as i64,
-            toml::Value::Integer(_) => bail!("{axis} = {x}: must be a whole number"),
-            toml::Value::Array(all) => {
-                bail!("axis = {axis:?}: name one of its entries, {axis}[0] to [{}]", all.len() - 1)
-            }
-            _ => bail!("axis = {axis:?}: must be a number of the scenario"),
+        axis::set(&mut root, &self.axis, point.x)?;
+        if let (Some(second), Some(y)) = (&self.second, point.y) {
+            axis::set(&mut root, &second.axis, y)?;
         }
         Scenario::from_toml(&toml::to_string(&root)?)
+    }
+
+    /// The seeds of one shard.
+    pub fn seeds_of(&self, shard: Shard) -> impl Iterator<Item = u64> {
+        let first = self.first_seed;
+        self.seeds().filter(move |seed| shard.has(seed - first))
     }
 
     /// The seeds of all episodes.
@@ -273,45 +353,6 @@ fn repeated<T: PartialEq + Copy>(items: &[T]) -> Option<T> {
     items.iter().enumerate().find(|(n, item)| items[..*n].contains(item)).map(|(_, item)| *item)
 }
 
-/// Shard I of N of a sweep, I from 1: the seeds whose number leaves the remainder I - 1. Every shard has all
-/// points and controllers, so shards take equally long and their ratios stay paired.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shard {
-    /// I, from 1.
-    pub number: u64,
-    /// N.
-    pub of: u64,
-}
-
-impl Shard {
-    /// All of it.
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
-
-    /// The seeds of `plan` in this shard.
-    pub fn seeds(self, plan: &SweepPlan) -> impl Iterator<Item = u64> {
-        let first = plan.first_seed;
-        plan.seeds().filter(move |seed| (seed - first) % self.of == self.number - 1)
-    }
-}
-
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
-        match parts {
-            Some((number, of)) if (1..=of).contains(&number) => Ok(Self { number, of }),
-            _ => Err("must be I/N with I from 1 to N, such as 1/3".into()),
-        }
-    }
-}
-
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.number, self.of)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -332,7 +373,7 @@ mod tests {
         let plan = plan(&format!("{FILE}[scenario.disturbance]\nsigma_c = 0.005\n")).unwrap();
         let mut want = plan.scenario.clone();
         want.radio.b_dt = 2.5;
-        assert_eq!(plan.scenario_at(2.5).unwrap(), want);
+        assert_eq!(plan.scenario_at(SweepPoint::on(2.5)).unwrap(), want);
         assert_eq!(want.disturbance.sigma_c, 0.005);
     }
 
@@ -348,8 +389,35 @@ mod tests {
             let two = "[[scenario.obstacle]]\n[[scenario.obstacle]]\nposition = [0.3, 0.8]\n";
             let file = FILE.replace("radio.b_dt", axis).replace("[2.5, 4.0]", &format!("[{x}]"));
             let plan = plan(&format!("{file}{two}")).unwrap();
-            assert_eq!(get(&plan.scenario_at(x).unwrap()), x, "{axis}");
+            assert_eq!(get(&plan.scenario_at(SweepPoint::on(x)).unwrap()), x, "{axis}");
         }
+    }
+
+    #[test]
+    fn each_value_of_the_second_axis_meets_each_of_the_first() {
+        let file = FILE.replace("[2.5, 4.0]", "\"2.5:4:2\"");
+        let plan = plan(&format!("{file}[second]\naxis = \"goal[1]\"\npoints = [0.3, 0.5]\n")).unwrap();
+        let grid: Vec<_> = plan.grid().iter().map(|point| (point.x, point.y)).collect();
+        assert_eq!(grid, [(2.5, Some(0.3)), (4.0, Some(0.3)), (2.5, Some(0.5)), (4.0, Some(0.5))]);
+        let last = plan.scenario_at(plan.grid()[3]).unwrap();
+        assert_eq!((last.radio.b_dt, last.goal.y), (4.0, 0.5));
+        assert_eq!(plan.at(plan.grid()[1]), "radio.b_dt = 4, goal[1] = 0.3");
+        // A plan is written down and read again.
+        assert_eq!(toml::from_str::<SweepPlan>(&toml::to_string(&plan).unwrap()).unwrap(), plan);
+    }
+
+    #[test]
+    fn axes_of_flags_stand_in_place_of_a_file_s() {
+        let file =
+            || SweepFile::parse(&format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3]\n")).unwrap();
+        let axes = ["goal[0]=0.8", "start[1]=0.3:0.4:2"].map(|text| text.parse().unwrap());
+        let resolve = |axes: &[SweepAxis]| {
+            let flags = Overrides { axes: axes.to_vec(), ..Overrides::default() };
+            file().resolve(&flags, |_| Ok(SweepModels::default())).unwrap()
+        };
+        assert_eq!(resolve(&axes).axes(), "goal[0] and start[1]");
+        assert_eq!(resolve(&axes[..1]).axes(), "goal[0]");
+        assert_eq!(resolve(&[]).axes(), "radio.b_dt and goal[1]");
     }
 
     #[test]
@@ -371,6 +439,13 @@ mod tests {
             (with("small", "../x"), "name = \"../x\""),
             (with("axis", "axes"), "axes"),
             (format!("{FILE}[scenario.radio]\nb_dd = 3.0\n"), "b_dd"),
+            (format!("{FILE}[second]\naxis = \"radio.b_dt\"\npoints = [1.0]\n"), "both axes are radio.b_dt"),
+            (
+                format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = [0.3, 0.3]\n"),
+                "points: 0.3 stands there twice",
+            ),
+            (format!("{FILE}[second]\naxis = \"goal[1]\"\npoints = []\n"), "at least one each"),
+            (with("[2.5, 4.0]", "\"2:3\""), "FROM:TO:COUNT"),
         ] {
             let line = error(&text);
             assert!(line.contains(part) && !line.contains('\n'), "{line}");
@@ -381,14 +456,11 @@ mod tests {
     fn shares_part_the_seeds() {
         let mut plan = plan(FILE).unwrap();
         (plan.first_seed, plan.episodes) = (10, 8);
-        let shard = |text: &str| text.parse::<Shard>().unwrap().seeds(&plan).collect::<Vec<_>>();
+        let shard = |text: &str| plan.seeds_of(text.parse().unwrap()).collect::<Vec<_>>();
         assert_eq!(
             [shard("1/3"), shard("2/3"), shard("3/3")],
             [vec![10, 13, 16], vec![11, 14, 17], vec![12, 15]]
         );
-        for text in ["0/3", "4/3", "1", "a/b", "1/0", "/"] {
-            assert!(text.parse::<Shard>().is_err(), "{text}");
-        }
     }
 
     #[test]

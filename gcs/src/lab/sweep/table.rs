@@ -7,6 +7,7 @@ use crpl_sitl::program::columns;
 use crpl_sitl::sim::metric::{FlightOutcome, Metric, PerMetric};
 use serde::Serialize;
 
+use super::axis::SweepPoint;
 use super::episode::SweepEpisode;
 use super::plan::{SweepPlan, UncoveredPoint};
 use crate::station::pilot::Controller;
@@ -21,8 +22,9 @@ pub const SHOWN: [FlightOutcome; 2] = [FlightOutcome::Reached, FlightOutcome::Be
 pub struct TableRow {
     /// Name of the sweep.
     pub sweep: String,
-    /// Value of the axis.
-    pub x: f64,
+    /// Value of the axis, and of the second one.
+    #[serde(flatten)]
+    pub point: SweepPoint,
     /// Who flew.
     pub controller: Controller,
     /// Flights.
@@ -50,8 +52,11 @@ impl TableRow {
         for metric in Metric::ALL {
             let mean = &self.means[metric];
             feed.send(&WatchEvent::Point {
-                x: self.x,
-                controller: self.controller.to_string(),
+                x: self.point.x,
+                controller: match self.point.y {
+                    None => self.controller.to_string(),
+                    Some(y) => format!("{} at {y}", self.controller),
+                },
                 metric: metric.key().into(),
                 value: mean.mean,
                 low: mean.ci[0],
@@ -65,16 +70,17 @@ impl TableRow {
 /// of the plan.
 #[must_use]
 pub fn rows(plan: &SweepPlan, episodes: &[SweepEpisode]) -> Vec<TableRow> {
-    let flights = episodes.len() / (plan.points.len() * plan.controllers.len()).max(1);
+    let grid = plan.grid();
+    let flights = episodes.len() / (grid.len() * plan.controllers.len()).max(1);
     let resamples = Resamples::of(flights);
     let mut rows = Vec::new();
-    for x in &plan.points {
+    for point in grid {
         let of = |controller: Controller| -> Vec<&SweepEpisode> {
-            episodes.iter().filter(|e| e.x == *x && e.controller == controller).collect()
+            episodes.iter().filter(|e| e.point == point && e.controller == controller).collect()
         };
         let crpl = plan.controllers.contains(&Controller::Crpl).then(|| of(Controller::Crpl));
         for controller in &plan.controllers {
-            rows.push(row(plan, *x, *controller, &of(*controller), crpl.as_deref(), &resamples));
+            rows.push(row(plan, point, *controller, &of(*controller), crpl.as_deref(), &resamples));
         }
     }
     rows
@@ -82,7 +88,7 @@ pub fn rows(plan: &SweepPlan, episodes: &[SweepEpisode]) -> Vec<TableRow> {
 
 fn row(
     plan: &SweepPlan,
-    x: f64,
+    point: SweepPoint,
     controller: Controller,
     flights: &[&SweepEpisode],
     crpl: Option<&[&SweepEpisode]>,
@@ -101,7 +107,7 @@ fn row(
     });
     TableRow {
         sweep: plan.name.clone(),
-        x,
+        point,
         controller,
         episodes: flights.len() as u64,
         means: PerMetric::from_fn(|m| Mean::of(&values(m, flights))),
@@ -117,19 +123,21 @@ fn row(
 /// policies.
 #[must_use]
 pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
-    let mut text = String::from("sweep,x,controller,episodes,policy_covers");
+    let second = if plan.second.is_some() { ",y" } else { "" };
+    let mut text = format!("sweep,x{second},controller,episodes,policy_covers");
     FlightOutcome::ALL.iter().for_each(|outcome| text.extend([",", outcome.key()]));
     for m in Metric::ALL.map(Metric::key) {
         let _ = write!(text, ",{m}_mean,{m}_sd,{m}_lo,{m}_hi,{m}_ratio,{m}_ratio_lo,{m}_ratio_hi");
     }
     text.push('\n');
     for row in rows {
-        let TableRow { sweep, x, controller, episodes, .. } = row;
+        let TableRow { sweep, point, controller, episodes, .. } = row;
         let covered = match controller.flies_policies() {
-            true => plan.uncovered.iter().all(|point| point.x != *x).to_string(),
+            true => plan.uncovered.iter().all(|far| far.point() != *point).to_string(),
             false => String::new(),
         };
-        let _ = write!(text, "{sweep},{x},{controller},{episodes},{covered}");
+        let _ = write!(text, "{sweep},{}", cells(*point, ","));
+        let _ = write!(text, ",{controller},{episodes},{covered}");
         row.shares.iter().for_each(|share| text += &format!(",{share}"));
         for (m, Mean { mean, ci, sd }) in row.means.iter() {
             let _ = write!(text, ",{mean},{sd},{},{}", ci[0], ci[1]);
@@ -143,6 +151,24 @@ pub fn csv(plan: &SweepPlan, rows: &[TableRow]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// The values of a point, one after the other.
+fn cells(point: SweepPoint, between: &str) -> String {
+    let second = point.y.map(|y| format!("{between}{y}")).unwrap_or_default();
+    format!("{}{second}", point.x)
+}
+
+/// The same in columns.
+fn padded(point: SweepPoint) -> String {
+    point.y.map_or_else(|| point.x.to_string(), |y| format!("{}{y:>10}", point.x))
+}
+
+/// The first columns of a line of the text.
+fn start(point: &str, controller: &str) -> String {
+    // Two axes: the second ends ten columns further.
+    let width = if point.contains(' ') { 18 } else { 8 };
+    format!("{point:>width$}  {controller:<18}")
 }
 
 /// Mean with its interval, or `= all` where every flight has the same value, with the decimals that are worth
@@ -167,8 +193,8 @@ pub fn ratio_cell(ratio: &Mean) -> String {
     format!("{:.2} [{:.2}, {:.2}]", ratio.mean, ratio.ci[0], ratio.ci[1])
 }
 
-/// Width of the columns of the axis and the controller.
-const KEY: usize = 28;
+/// Width of the columns of the axis and the controller, and of two axes and the controller.
+const KEYS: [usize; 2] = [28, 38];
 
 /// Width of the columns of the outcomes.
 const OUTCOMES: [usize; SHOWN.len()] = [10, 8];
@@ -183,7 +209,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
     let mut out = format!(
         "{}: {} over {} flights a row from seed {}; mean [95 % bootstrap interval],\n= all: the same in every flight; reached and below: of all flights\n",
         plan.name,
-        plan.axis,
+        plan.axes(),
         rows.first().map_or(0, |r| r.episodes),
         plan.first_seed
     );
@@ -191,7 +217,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
                 metrics: &mut dyn Iterator<Item = Metric>,
                 width: fn(Metric) -> usize,
                 tail: &str| {
-        let _ = write!(out, "{:>8}  {:<18}", "x", "controller");
+        out.push_str(&start(if plan.second.is_some() { "x         y" } else { "x" }, "controller"));
         for m in metrics {
             let _ = write!(out, "{:>width$}", m.key(), width = width(m));
         }
@@ -199,11 +225,12 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
     };
     let [reached, below] = SHOWN.map(FlightOutcome::key);
     let [wide, narrow] = OUTCOMES;
+    let key = KEYS[usize::from(plan.second.is_some())];
     let mut table = String::new();
     let tail = format!("{reached:>wide$}{below:>narrow$}");
     head(&mut table, &mut Metric::ALL.into_iter(), mean_width, &tail);
     for row in rows {
-        let _ = write!(table, "{:>8}  {:<18}", row.x, row.controller.label());
+        table.push_str(&start(&padded(row.point), &row.controller.label()));
         for (m, mean) in row.means.iter() {
             let _ = write!(table, "{:>width$}", mean_cell(m, mean), width = mean_width(m));
         }
@@ -211,7 +238,7 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
         let _ = writeln!(table, "{reached:>wide$}{below:>narrow$}");
     }
     let columns: Vec<usize> =
-        std::iter::once(KEY).chain(Metric::ALL.map(mean_width)).chain(OUTCOMES).collect();
+        std::iter::once(key).chain(Metric::ALL.map(mean_width)).chain(OUTCOMES).collect();
     out += &columns::folded(&table, &columns, width);
     table.clear();
     let others = || rows.iter().filter(|r| r.controller != Controller::Crpl && r.ratio_to_crpl.is_some());
@@ -222,13 +249,13 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
         head(&mut table, &mut Metric::compared(), |_| RATIO, "");
     }
     for row in others() {
-        let _ = write!(table, "{:>8}  {:<18}", row.x, row.controller.label());
+        table.push_str(&start(&padded(row.point), &row.controller.label()));
         for ratio in row.ratio_to_crpl.iter().flat_map(|ratios| Metric::compared().map(|m| ratios[m])) {
             let _ = write!(table, "{:>RATIO$}", ratio_cell(&ratio));
         }
         table.push('\n');
     }
-    let columns: Vec<usize> = std::iter::once(KEY).chain(Metric::compared().map(|_| RATIO)).collect();
+    let columns: Vec<usize> = std::iter::once(key).chain(Metric::compared().map(|_| RATIO)).collect();
     out + &columns::folded(&table, &columns, width) + &uncovered(plan)
 }
 
@@ -237,12 +264,9 @@ pub fn text(plan: &SweepPlan, rows: &[TableRow], width: Option<usize>) -> String
 pub fn uncovered(plan: &SweepPlan) -> String {
     let mut out = String::new();
     for point in &plan.uncovered {
-        let UncoveredPoint { x, policy, mismatch } = point;
-        let _ = writeln!(
-            out,
-            "\nat {} = {x} crpl flies policies of another world ({policy}): {mismatch}",
-            plan.axis
-        );
+        let UncoveredPoint { policy, mismatch, .. } = point;
+        let at = plan.at(point.point());
+        let _ = writeln!(out, "\nat {at} crpl flies policies of another world ({policy}): {mismatch}");
     }
     out
 }
