@@ -9,10 +9,12 @@ import os
 import statistics
 import time
 
-import gymnasium
-import numpy as np
+os.environ["SCIPY_ARRAY_API"] = "1"  # crazyflow refuses a SciPy that was imported without it
 
-import crpl
+import gymnasium  # noqa: E402
+import numpy as np  # noqa: E402
+
+import crpl  # noqa: E402
 
 
 def rates(step, flights, seconds, rounds):
@@ -86,6 +88,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=1.0, help="length of a round")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--only", default="", metavar="TEXT", help="only rows whose name contains it")
     args = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[0]})
@@ -104,6 +107,8 @@ def main():
     ]
     print(f"one core, {args.rounds} rounds of {args.seconds} s, revision {crpl.revision()}")
     for name, flights, make in rows:
+        if args.only not in name:
+            continue
         try:
             step = make()
         except ImportError as error:
