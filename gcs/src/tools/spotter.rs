@@ -154,6 +154,13 @@ impl Spotter {
         }
     }
 
+    /// What a vehicle's own radio tells, else a radio between it and us, which has a system id of its own.
+    fn radio(&self, system: u8) -> SpottedRadio {
+        let between = || self.radios.iter().find(|(sender, _)| !self.spots.contains_key(sender));
+        let own = self.radios.get(&system).or_else(|| between().map(|(_, radio)| radio));
+        own.copied().unwrap_or_default()
+    }
+
     /// Twice a second at most a place becomes a line.
     fn spotted(&mut self, system: u8, told: &GLOBAL_POSITION_INT_DATA, now: Duration) {
         let tick = (now.as_secs_f64() / INTERVAL_S) as u64;
@@ -176,7 +183,7 @@ impl Spotter {
         let place = [rounded(east, 2), rounded(north, 2)];
         let velocity = [told.vy, told.vx].map(|cm| f64::from(cm) / 100.0);
         let before = last.unwrap_or(Spot { place, velocity, tick });
-        let radio = self.radios.get(&system).copied().unwrap_or_default();
+        let radio = self.radio(system);
         self.feed.send(&WatchEvent::Tick(json!({
             "snr_db": radio.snr_db,
             "power": radio.power,
