@@ -57,6 +57,7 @@ fn build() -> Result<PathBuf> {
     // nothing is compiled a second time.
     let output = Command::new(cargo)
         .args(["build", "--workspace", "--bins", "--tests", "--quiet", "--offline", "--profile", profile])
+        .args(cfg!(feature = "ndarray").then_some("--features=tests/ndarray"))
         .arg("--target-dir")
         .arg(target)
         .current_dir(workspace())
