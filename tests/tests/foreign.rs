@@ -80,7 +80,7 @@ fn story_with(
         while let Some(event) = guide.take() {
             match event {
                 GuideEvent::Say(text) => said.push(text),
-                GuideEvent::TakeControl(_) => {}
+                GuideEvent::TakeControl(_) | GuideEvent::Located(_) => {}
                 GuideEvent::Percept(percept) => {
                     flying.get_or_insert(now);
                     let command = station.handle(&percept);
