@@ -38,6 +38,22 @@ pub struct StepReport {
     pub collided: bool,
 }
 
+impl From<&Transition> for StepReport {
+    fn from(transition: &Transition) -> Self {
+        let Transition { reward, terminated, truncated, record } = transition;
+        Self {
+            reward: *reward,
+            terminated: *terminated,
+            truncated: *truncated,
+            flown: true,
+            snr_db: record.snr_db,
+            outage: record.outage,
+            p_coll: record.p_coll,
+            collided: record.collided,
+        }
+    }
+}
+
 /// A place in a batch.
 #[derive(Debug, Clone)]
 struct FlightSlot {
@@ -167,9 +183,9 @@ impl FlightSlot {
             }
             return StepReport::default();
         }
-        let Transition { reward, terminated, truncated, record } =
+        let transition =
             self.flight.step(std::array::from_fn(|n| action.get(n).copied().unwrap_or_default()));
-        if terminated || truncated {
+        if transition.terminated || transition.truncated {
             self.is_over = true;
             self.score = self.flight.score();
             if autoreset == Autoreset::SameStep {
@@ -179,16 +195,7 @@ impl FlightSlot {
                 *self = Self { score: self.score, ..begin(self.seed) };
             }
         }
-        StepReport {
-            reward,
-            terminated,
-            truncated,
-            flown: true,
-            snr_db: record.snr_db,
-            outage: record.outage,
-            p_coll: record.p_coll,
-            collided: record.collided,
-        }
+        StepReport::from(&transition)
     }
 }
 

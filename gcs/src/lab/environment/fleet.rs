@@ -231,16 +231,10 @@ fn of_other(state: &State, v_max: f64) -> [f32; OTHER] {
 }
 
 fn report(transition: &Transition, landing: Option<FleetLanding>) -> StepReport {
-    let Transition { reward, record, .. } = transition;
     StepReport {
-        reward: *reward,
         terminated: matches!(landing, Some(FleetLanding::AtGoal | FleetLanding::Fell)),
         truncated: landing == Some(FleetLanding::OutOfTime),
-        flown: true,
-        snr_db: record.snr_db,
-        outage: record.outage,
-        p_coll: record.p_coll,
-        collided: record.collided,
+        ..StepReport::from(transition)
     }
 }
 
