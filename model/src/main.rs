@@ -7,12 +7,12 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use crpl_model::encoder::module::Backend;
 use crpl_model::evaluation;
+use crpl_model::training::flags::ConfigFlags;
 use crpl_model::training::learned::device::EncoderDevice;
 use crpl_model::training::recipe::{self, Run};
 use crpl_model::training::show::StageShow;
 use crpl_model::training::{ablation_command, collect_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
-use crpl_model::world_model::config::TrainConfig;
 use crpl_model::world_model::recording::Recording;
 use crpl_sitl::program::page::WatchFlags;
 use crpl_sitl::program::page::feed::WatchEvent;
@@ -35,7 +35,7 @@ enum Command {
     Merge(collect_command::MergeShards),
     /// Train the world model and write its checkpoint
     Train(Train),
-    /// Train the MLP and LSTM predictors on the latents of a world model
+    /// Train the MLP and LSTM predictors on the latents of a world model; of the training parameters, [networks] counts
     Predictors(NetworksOf),
     /// Fine-tune a learned world model on a recording of a new camera
     Adapt(Adapt),
@@ -61,12 +61,8 @@ const EXAMPLES: &[(&str, &[&str])] = &[
 
 #[derive(Debug, clap::Args)]
 struct Train {
-    /// Training parameters that differ from the defaults (TOML)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Override the seed of the training parameters
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    config: ConfigFlags,
     /// Backend of burn, the tensor library
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -97,12 +93,8 @@ struct NetworksOf {
     /// World model that gives the latents: a folder, or `learned` or `centroid`, which are built in [default: learned]
     #[arg(long, value_name = "DIR")]
     checkpoint: Option<PathBuf>,
-    /// Training parameters that differ from the defaults (TOML); only [networks] is used
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Override the seed of the training parameters
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    config: ConfigFlags,
     /// Folder for the networks and their learning curves
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -141,7 +133,7 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Train) -> anyhow::Result<()> {
-    let mut config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let mut config = args.config.resolve()?;
     if args.quick {
         config = config.quick();
         tracing::warn!("--quick: less data and fewer steps; these are not the figures of the full recipe");
@@ -229,7 +221,7 @@ fn adapt(args: &Adapt) -> anyhow::Result<()> {
 }
 
 fn networks(args: &NetworksOf) -> anyhow::Result<()> {
-    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let config = args.config.resolve()?;
     config.check()?;
     let model = match &args.checkpoint {
         Some(dir) => WorldModel::named(dir)?,

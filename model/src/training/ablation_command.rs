@@ -8,6 +8,7 @@ use crate::encoder::BuiltIn;
 use crate::encoder::module::Backend;
 use crate::evaluation::robustness;
 use crate::training::ablation::{ABLATIONS, AblationRow, HEAD};
+use crate::training::flags::ConfigFlags;
 use crate::training::learned::ablation::{self as learned_ablation, LEARNED_ABLATIONS, LearnedAblationRow};
 use crate::training::recipe::{TrainError, without_heads};
 use crate::world_model::WorldModel;
@@ -20,12 +21,8 @@ use serde::Serialize;
 /// Flags of `model ablate`.
 #[derive(Debug, clap::Args)]
 pub struct Ablate {
-    /// Training parameters that differ from the defaults (TOML)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Override the seed of the training parameters
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    config: ConfigFlags,
     /// Backend of burn, the tensor library
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -72,7 +69,7 @@ pub struct Robustness {
 /// # Errors
 /// A config that does not read, and a result that cannot be written.
 pub fn ablate(args: &Ablate) -> anyhow::Result<()> {
-    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let config = args.config.resolve()?;
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     if let Some(part) = &config.learned {
         return ablate_learned(args, &config, part, wanted);

@@ -11,6 +11,7 @@ use crpl_sitl::Scenario;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::shard::Shard;
 
+use crate::training::flags::ConfigFlags;
 use crate::training::{learned, recipe};
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use crate::world_model::dataset::{self, Episode};
@@ -26,12 +27,8 @@ const CONFIG: &str = "config.toml";
 /// Flags of `model collect`.
 #[derive(Debug, clap::Args)]
 pub struct Collect {
-    /// Training parameters that differ from the defaults (TOML)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Override the seed of the training parameters
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    config: ConfigFlags,
     /// Folder for episodes.safetensors and config.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -59,7 +56,7 @@ pub struct MergeShards {
 /// # Errors
 /// A configuration that does not read, and files that cannot be written.
 pub fn collect(args: &Collect) -> Result<()> {
-    let config = TrainConfig::resolve(args.config.as_ref(), args.seed)?;
+    let config = args.config.resolve()?;
     let note = args.out.join(SHARD);
     if note.exists() {
         fs::remove_file(&note).with_context(|| format!("removing {}", note.display()))?;

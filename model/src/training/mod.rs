@@ -1,6 +1,6 @@
 //! The recipe that makes a world model, and its pieces. [`recipe`] reads from top to bottom.
 //!
-//! All but `bounds`, `closed_form`, `learned`, `stages`, `predictors` and `show` need burn: the cargo feature `train`.
+//! All but `bounds`, `closed_form`, `flags`, `learned`, `stages`, `predictors` and `show` need burn: the cargo feature `train`.
 
 #[cfg(feature = "train")]
 pub mod ablation;
@@ -14,6 +14,7 @@ pub mod closed_form;
 pub mod collect_command;
 #[cfg(feature = "train")]
 pub mod fitting;
+pub mod flags;
 #[cfg(feature = "train")]
 pub mod gradient;
 #[cfg(feature = "train")]

@@ -151,7 +151,6 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
     if let Some(part) = &config.learned {
         return learned::recipe::train(config, part, run);
     }
-    let revision = crate::revision();
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let device = run.backend.device()?;
     let identity = serde_json::json!({ "config": config, "backend": run.backend, "data": run.data });
@@ -204,28 +203,39 @@ pub fn train(config: &TrainConfig, run: &Run) -> Result<(WorldModel, Diagnostics
         check.unwrap_or_default(),
     );
     let diagnostics = look_at(&model, &context, check);
-    let alarms = diagnostics.alarms(&config.alarms);
+    ship(model, diagnostics, run, cache)
+}
 
-    // Only a model without alarms takes the checkpoint's place.
+/// Writes the checkpoint, and its card for people. Only a model without alarms takes the checkpoint's place, and gets
+/// the networks that its linear predictor is compared with; another is written to [`REJECTED`]. The finished stages are
+/// no longer needed then, and go.
+///
+/// # Errors
+/// [`TrainError::Alarms`] if the model is not fit to ship; else if a stage or a file fails.
+pub fn ship(
+    model: WorldModel,
+    diagnostics: Diagnostics,
+    run: &Run,
+    cache: StageCache,
+) -> Result<(WorldModel, Diagnostics), TrainError> {
+    let alarms = diagnostics.alarms(&model.card.config.alarms);
     let dir = if alarms.is_empty() { run.out.clone() } else { run.out.join(REJECTED) };
     model.save(&dir)?;
     if alarms.is_empty() {
-        // What the linear predictor is compared with.
         let trained = cache.keep(
             "networks",
             predictors::load,
-            || networks(config, &model, run.feed.as_ref()),
+            || networks(&model.card.config, &model, run.feed.as_ref()),
             predictors::save,
         )?;
         predictors::publish(&trained, &dir)?;
     }
-    let card = card_text(&model, &diagnostics, &alarms, revision, run.stopwatch);
+    let card = card_text(&model, &diagnostics, &alarms, crate::revision(), run.stopwatch);
     tensors::write_all(&dir.join(CARD), card.as_bytes())?;
+    cache.remove()?;
     if !alarms.is_empty() {
-        cache.remove()?;
         return Err(TrainError::Alarms { alarms: in_words(&alarms), dir });
     }
-    cache.remove()?;
     Ok((model, diagnostics))
 }
 
@@ -420,7 +430,7 @@ fn look_at(model: &WorldModel, context: &TrainContext<'_>, check: Option<FitChec
     diagnostics::measure(model, sizes, &cameras, context.data.scenario, noise, eigenvalue)
 }
 
-pub(crate) fn in_words(alarms: &[CollapseCheck]) -> String {
+fn in_words(alarms: &[CollapseCheck]) -> String {
     alarms.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
@@ -441,7 +451,7 @@ fn data_in_words(config: &TrainConfig) -> String {
 }
 
 /// The card for people.
-pub(crate) fn card_text(
+fn card_text(
     model: &WorldModel,
     diagnostics: &Diagnostics,
     alarms: &[CollapseCheck],

@@ -284,16 +284,6 @@ pub enum ConfigError {
 }
 
 impl TrainConfig {
-    /// The configuration of `path`, or the shipped one, with another seed if one is given.
-    ///
-    /// # Errors
-    /// As [`TrainConfig::load`].
-    pub fn resolve(path: Option<&PathBuf>, seed: Option<u64>) -> Result<Self, ConfigError> {
-        let mut config = path.map_or_else(|| Ok(Self::default()), |path| Self::load(path))?;
-        config.seed = seed.unwrap_or(config.seed);
-        Ok(config)
-    }
-
     /// The chance of the frames on which a model is measured: of another seed than its training's.
     #[must_use]
     pub fn held_out(&self) -> Noise {

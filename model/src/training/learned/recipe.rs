@@ -19,17 +19,16 @@ use crate::evaluation::diagnostics::{self, Diagnostics};
 use crate::evaluation::{self};
 use crate::heads::labels::Label;
 use crate::heads::networks::Heads;
-use crate::numeric::tensors::{self, TensorError};
+use crate::numeric::tensors::TensorError;
 use crate::predictor::Predictor;
 use crate::training::cache::{self, StageCache};
 use crate::training::heads::{self as head_training, Samples};
 use crate::training::learned::readings::{self, HeadSample};
 use crate::training::learned::{self, EncoderRun, load_encoder, save_encoder};
-use crate::training::predictors;
-use crate::training::recipe::{REJECTED, Run, TrainError, in_words, networks};
+use crate::training::recipe::{Run, TrainError, ship};
 use crate::training::show::StageShow;
 use crate::world_model::card::{Card, FitCheck, LearnedCheck};
-use crate::world_model::checkpoint::{CARD, FORMAT};
+use crate::world_model::checkpoint::FORMAT;
 use crate::world_model::config::{LearnedTraining, TrainConfig};
 use crate::world_model::exploration;
 use crate::world_model::recording::{Recording, RecordingFormat};
@@ -83,9 +82,8 @@ pub fn train(
         },
         |weights, dir| save_encoder(weights, &dir.join(ENCODER)),
     )?;
-    let model = finish(config, part, &weights, &recording, run, &cache)?;
-    cache.remove()?;
-    model
+    let (model, diagnostics) = finish(config, part, &weights, &recording, run, &cache)?;
+    ship(model, diagnostics, run, cache)
 }
 
 /// Records exploratory flights into `dir`, unless they are there; `feed` is where others watch.
@@ -120,9 +118,7 @@ pub fn cameras(config: &exploration::ExplorationConfig) -> Result<Vec<CameraConf
     config.cameras.iter().map(|(name, _)| Ok(CameraConfig::named(name)?)).collect()
 }
 
-/// All that comes after the encoder.
-type Finished = Result<(WorldModel, Diagnostics), TrainError>;
-
+/// All that comes after the encoder, and what the model shows on fresh frames.
 fn finish(
     config: &TrainConfig,
     part: &LearnedTraining,
@@ -130,7 +126,7 @@ fn finish(
     recording: &Recording,
     run: &Run,
     cache: &StageCache,
-) -> Result<Finished, TrainError> {
+) -> Result<(WorldModel, Diagnostics), TrainError> {
     let (scenario, noise) = (Scenario::default(), Noise::new(config.seed));
     let scale = config.encoder.scale;
 
@@ -197,25 +193,7 @@ fn finish(
     let sizes = [evaluation.frames, evaluation.rollouts, evaluation.horizon];
     let clean = CameraSet::new(&[], &held_out);
     let diagnostics = diagnostics::measure(&model, sizes, &clean, &scenario, &held_out, None);
-    let alarms = diagnostics.alarms(&config.alarms);
-    let dir = if alarms.is_empty() { run.out.clone() } else { run.out.join(REJECTED) };
-    model.save(&dir)?;
-    if alarms.is_empty() {
-        let trained = cache.keep(
-            "networks",
-            predictors::load,
-            || networks(config, &model, run.feed.as_ref()),
-            predictors::save,
-        )?;
-        predictors::publish(&trained, &dir)?;
-    }
-    let card =
-        crate::training::recipe::card_text(&model, &diagnostics, &alarms, crate::revision(), run.stopwatch);
-    tensors::write_all(&dir.join(CARD), card.as_bytes())?;
-    if !alarms.is_empty() {
-        return Ok(Err(TrainError::Alarms { alarms: in_words(&alarms), dir }));
-    }
-    Ok(Ok((model, diagnostics)))
+    Ok((model, diagnostics))
 }
 
 /// Risk and channel heads: half of the pictures from near collisions, half from anywhere.
