@@ -24,7 +24,7 @@ use crate::predictor::bounded::Bounds;
 use crate::predictor::linear::Pair;
 use crate::predictor::residual::Scaling;
 use crate::predictor::{Begin, Memory, Networks, NetworksConfig, Predictor, PredictorKind};
-use crate::training::bounds::{self, Sample};
+use crate::training::bounds::{self, LatentPath};
 use crate::world_model::WorldModel;
 use crate::world_model::checkpoint;
 use crate::world_model::dataset::{Episode, EpisodeStart, Selection, select};
@@ -60,9 +60,8 @@ struct LatentEpisodes {
 }
 
 impl LatentEpisodes {
-    fn samples(&self) -> Vec<Sample> {
-        let each = self.y.iter().zip(&self.actions).flat_map(|(y, a)| y.windows(3).zip(&a[1..]));
-        each.map(|(y, a)| Sample { before: y[0], now: y[1], a: *a, shown: y[2] }).collect()
+    fn paths(self) -> Vec<LatentPath> {
+        self.y.into_iter().zip(self.actions).map(|(y, actions)| LatentPath { y, actions }).collect()
     }
 }
 
@@ -87,8 +86,7 @@ pub fn train(
     let data = collect(config.episodes, selection, TRAINING_EPISODES);
     let held_out = collect(config.held_out, selection, TRAINING_EPISODES + 1);
     let all = collect(config.episodes, Selection::All, TRAINING_EPISODES + 2);
-    let samples = all.samples();
-    let bounds = (!samples.is_empty()).then(|| bounds::fit(&model.controllable(), &samples));
+    let bounds = (config.episodes > 0).then(|| bounds::fit(&model.controllable(), &all.paths()));
     let scaling = scaling(&data);
     let px = SIDE as f64 / model.scale;
     let fit = |(number, kind): (usize, &PredictorKind)| {
