@@ -21,7 +21,7 @@ use crate::planning::power::{Sample, executed_power, power_gradient};
 use crate::planning::problem::PlanningProblem;
 use crate::planning::rollout;
 
-/// One run_phase of problem 1: which network, where the obstacle is, which barrier.
+/// One phase of problem 1: which network, where the obstacle is, which barrier.
 #[derive(Debug, Clone, PartialEq)]
 struct OptimisePhase {
     name: String,
@@ -47,7 +47,7 @@ pub enum PassingSide {
     Chosen,
 }
 
-/// OptimiseProgress that survives an interruption; phases begin with fresh optimiser state, so a resumed
+/// What survives an interruption; phases begin with fresh optimiser state, so a resumed
 /// run takes the same steps as an unbroken one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OptimiseProgress {
@@ -227,7 +227,7 @@ impl Windows {
         Self { length: config.averaged_iterations, tolerance: config.tolerance, j: Vec::new(), before: None }
     }
 
-    /// Takes the J of one more iteration; whether a window has just begun.
+    /// Whether the next iteration is the first one of a window.
     fn begins(&self) -> bool {
         self.j.is_empty()
     }
@@ -353,31 +353,44 @@ fn choose(
         let [r, l] = [0, 1].map(|n| estimate(&o, 1.0, &scores[n]));
         let (ir, il) =
             (objective::influence(&o, 1.0, &r, &scores[0]), objective::influence(&o, 1.0, &l, &scores[1]));
-        let n = ir.len() as f64;
-        let paired: Vec<f64> = ir.iter().zip(&il).map(|(r, l)| r - l).collect();
-        let mean = paired.iter().sum::<f64>() / n;
-        let variance = paired.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-        let (margin, se) = (r.j - l.j, (variance / n).sqrt());
+        let (margin, se) = (r.j - l.j, paired_error(&ir, &il));
         if margin.abs() >= CLEAR * se || scores[0].cost.len() >= config.comparison_rollouts {
             break (r, l, margin, se);
         }
     };
-    let feasible =
-        |e: &ObjectiveEstimate| e.p_safe > 1.0 - o.collision_tolerance && e.p_comm > 1.0 - o.outage_tolerance;
     // The relaxed P̂_comm lets δ2 of a flight be without a link. Where only one way has a link all along, Eq. (14)
     // asks for that one.
     let connected = [right, left].map(|net| always_connected(problem, config, noise, &o, net));
-    let is_connected = connected.map(|share| share > 1.0 - o.outage_tolerance);
-    let chosen = match (feasible(&r) && is_connected[0], feasible(&l) && is_connected[1]) {
-        (true, false) => PassingSide::Right,
-        (false, true) => PassingSide::Left,
-        _ if r.j <= l.j => PassingSide::Right,
-        _ => PassingSide::Left,
-    };
+    let chosen = side(&o, [&r, &l], connected);
     progress.chosen = Some(if chosen == PassingSide::Right { right.clone() } else { left.clone() });
     let rollouts = scores[0].cost.len();
     progress.comparison = Some(Comparison { rollouts, right: r, left: l, margin, margin_se, chosen });
     Ok(())
+}
+
+/// Standard error of the mean difference of two samples, pair by pair.
+fn paired_error(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len() as f64;
+    let paired: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+    let mean = paired.iter().sum::<f64>() / n;
+    let variance = paired.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    (variance / n).sqrt()
+}
+
+/// The way that alone is feasible and has a link all along, else the one with the smaller J; right, left.
+fn side(o: &Objective, estimates: [&ObjectiveEstimate; 2], connected: [f64; 2]) -> PassingSide {
+    let fits = [0, 1].map(|n| {
+        let e = estimates[n];
+        e.p_safe > 1.0 - o.collision_tolerance
+            && e.p_comm > 1.0 - o.outage_tolerance
+            && connected[n] > 1.0 - o.outage_tolerance
+    });
+    match fits {
+        [true, false] => PassingSide::Right,
+        [false, true] => PassingSide::Left,
+        _ if estimates[0].j <= estimates[1].j => PassingSide::Right,
+        _ => PassingSide::Left,
+    }
 }
 
 /// Rollouts on which [`always_connected`] counts.
@@ -415,7 +428,7 @@ fn finish(
 ) -> Result<(Policies, OptimiseOutcome), OptimiseError> {
     let o = &problem.objective(&config.objective, config.snr_headroom);
     let last_eta = etas(config).last().unwrap_or(1.0);
-    // Stored rollouts of the executed policy; index 2^40 keeps them apart from problem 1's.
+    // Stored rollouts of the executed policy; index 2^30 keeps them apart from problem 1's.
     let stored = problem.draws(
         noise,
         Stream::Batches,
@@ -447,3 +460,6 @@ fn finish(
     let motion_estimate = estimate(o, last_eta, &scores);
     Ok((policies, OptimiseOutcome { comparison, motion: motion_estimate, p_comm_executed, mean_power }))
 }
+
+#[cfg(test)]
+mod tests;

@@ -304,4 +304,17 @@ mod tests {
         assert_eq!(refused(|c| c.rollouts = 0), "rollouts = 0: must be a positive multiple of 32");
         assert_eq!(refused(|c| c.rollouts = 48), "rollouts = 48: must be a positive multiple of 32");
     }
+
+    #[test]
+    fn a_fresh_attempt_has_other_weights_and_the_same_tolerances() {
+        let first = Attempt { number: 2, safety: 1, outage: 3, fresh: 0 };
+        let fresh = first.afresh();
+        assert_eq!(fresh, Attempt { number: 3, safety: 1, outage: 3, fresh: 1 });
+        assert_eq!(first.seed(7), 7);
+        assert_eq!(fresh.seed(7), 7 + (1 << 48));
+        assert_eq!(fresh.afresh().seed(7), 7 + (2 << 48));
+        // An attempt that never began afresh is written as before there was such a number.
+        assert!(!toml::to_string(&first).unwrap().contains("fresh"));
+        assert!(toml::to_string(&fresh).unwrap().contains("fresh = 1"));
+    }
 }

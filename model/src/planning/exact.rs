@@ -105,4 +105,18 @@ mod tests {
         let change = f64::from(slope[0][0]) * step.x + f64::from(slope[1][0]) * step.y;
         assert!((change + 0.01 / scenario.safety.softness).abs() < 1e-3, "{change}");
     }
+
+    #[test]
+    fn the_gain_is_the_simulators_over_its_noise() {
+        let world = WorldModel::built_in(BuiltIn::Centroid).unwrap();
+        let mut scenario = Scenario::default();
+        scenario.channel.noise_power *= 3.0;
+        let (r, o) = (Vector2::new(0.4, 0.31), scenario.obstacle().position);
+        let (y_c, y_u) = (world.probe.c.invert(r).unwrap(), world.probe.u.invert(o).unwrap());
+        let y: [Lane; 4] = [y_c.x, y_c.y, y_u.x, y_u.y].map(|y| [y as f32; LANES]);
+        let found = f64::from(Exact::new(Quantity::LogGain, world.probe, scenario.clone()).value(&y)[0]);
+        let snr =
+            channel::gain(r, o, scenario.obstacle().radius, &scenario.channel) / scenario.channel.noise_power;
+        assert!((found - snr.ln()).abs() < 1e-3, "{found} instead of {}", snr.ln());
+    }
 }

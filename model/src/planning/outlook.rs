@@ -87,6 +87,7 @@ fn scatter(draws: &mut Draws, spread: &[Matrix2<f64>; 2], noise: &Noise, index: 
 #[cfg(test)]
 mod tests {
     use crpl_sitl::Scenario;
+    use crpl_sitl::world::channel;
 
     use super::*;
     use crate::encoder::BuiltIn;
@@ -130,5 +131,69 @@ mod tests {
         // The first member is the mean in still air, whatever the tick.
         let first = |outlook: Outlook| outlook.y_c.iter().map(|y| y[0]).collect::<Vec<_>>();
         assert_eq!(first(looked(0.01, 3).1), first(looked(0.1, 4).1));
+    }
+
+    #[test]
+    fn members_spread_by_the_covariances_of_place_and_speed() {
+        let scatter_of = |place: f64, speed: f64| {
+            let lane = |v: f32| [v; LANES];
+            let mut all: [Vec<f64>; 2] = Default::default();
+            for index in 0..200 {
+                let mut draws = Draws {
+                    start: [[lane(2.0), lane(-1.0)], [lane(1.5), lane(-1.2)]],
+                    obstacles: Vec::new(),
+                    reported_obstacle: None,
+                    wind: vec![[lane(0.7); 2]; 3],
+                    beyond: 0,
+                    opening: Vec::new(),
+                };
+                let spread = [place, speed].map(|s| Matrix2::identity() * s.powi(2));
+                scatter(&mut draws, &spread, &Noise::new(2), index);
+                let [now, before] = &draws.start;
+                assert_eq!([now[0][0], now[1][0], before[0][0], before[1][0]], [2.0, -1.0, 1.5, -1.2]);
+                for (gust, l) in draws.wind.iter().flat_map(|gust| (0..LANES).map(move |l| (gust, l))) {
+                    assert_eq!([gust[0][l], gust[1][l]], [if l == 0 { 0.0 } else { 0.7 }; 2]);
+                }
+                for l in 1..LANES {
+                    for (i, mean, step) in [(0, 2.0, 0.5), (1, -1.0, 0.2)] {
+                        all[0].push(f64::from(now[i][l]) - mean);
+                        all[1].push(f64::from(now[i][l] - before[i][l]) - step);
+                    }
+                }
+            }
+            all.map(|all| (all.iter().map(|v| v * v).sum::<f64>() / all.len() as f64).sqrt())
+        };
+        let near = |found: f64, wanted: f64| (found - wanted).abs() < 0.03 * wanted + 1e-6;
+        let [place, speed] = scatter_of(0.2, 0.0);
+        assert!(near(place, 0.2) && near(speed, 0.0), "{place} {speed}");
+        let [place, speed] = scatter_of(0.0, 0.1);
+        assert!(near(place, 0.0) && near(speed, 0.1), "{place} {speed}");
+        let [place, speed] = scatter_of(0.2, 0.1);
+        assert!(near(place, 0.2) && near(speed, 0.1), "{place} {speed}");
+    }
+
+    #[test]
+    fn gain_is_the_snr_at_the_power_of_one_and_the_edge_is_no_risk() {
+        let (world, outlook) = looked(0.0, 0);
+        let mut scenario = Scenario::numbered(2).unwrap();
+        let snr = |uav: Vector2<f64>| {
+            let o = scenario.obstacle();
+            channel::gain(uav, o.position, o.radius, &scenario.channel) / scenario.channel.noise_power
+        };
+        let [x, y] = outlook.y_c[0][0];
+        let there = world.probe.c.apply(Vector2::new(x.into(), y.into()));
+        let told = f64::from(outlook.gain[0][0]);
+        assert!((told / snr(there)).ln().abs() < 0.3, "{told} instead of {}", snr(there));
+
+        // At the edge's margin the constraint's own risk would be a half.
+        scenario.safety.edge_margin = 0.05;
+        let config = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
+        let problem = PlanningProblem::of(&world, &scenario, &config, 0).unwrap();
+        let (y_c, y_u) = world.latents_at(Vector2::new(0.5, 0.02), Vector2::new(0.5, 0.9));
+        let state = PlanningState { y_c: [y_c; 2], y_u: [[y_u; 2]].into_iter().collect() };
+        let start = OutlookStart { state, spread: [Matrix2::zeros(); 2], reported_obstacle: None };
+        let motion = Policies::shipped(BuiltIn::Centroid, 2).unwrap().motion;
+        let risk = problem.outlook(&motion, &start, &Noise::new(0), 0, 1).risk[0][0];
+        assert!(risk < 0.01, "{risk}");
     }
 }

@@ -314,4 +314,22 @@ mod tests {
         let (motion, power) = policies.act(&[0.1, -0.3, 0.0, 0.0, 0.2, 0.5]);
         assert_eq!((motion, power), (Motion::Coast, TxPower::Low));
     }
+
+    #[test]
+    fn probabilities_of_large_outputs_are_numbers_and_follow_their_differences() {
+        let p = softmax(&[1000.0, 1000.0 - 2.0_f32.ln(), -1000.0]);
+        assert!((p[0] - 2.0 / 3.0).abs() < 1e-5 && (p[1] - 1.0 / 3.0).abs() < 1e-5 && p[2] < 1e-30, "{p:?}");
+    }
+
+    #[test]
+    fn the_relaxed_motion_is_the_mean_of_the_motions() {
+        let mut policies = Policies::untrained(&mut ChaCha8Rng::seed_from_u64(1));
+        policies.motion = Mlp::zeros(&MOTION_WIDTHS);
+        let Some(last) = policies.motion.layers.last_mut() else { panic!("no layers") };
+        // Three times as likely as the others.
+        let east = Motion::ALL.iter().position(|motion| *motion == Motion::East).unwrap();
+        last.b[east] = 3.0_f32.ln();
+        let mean = policies.mean_motion(&[0.0; FEATURES]);
+        assert!((mean - Vector2::new(2.0 / 7.0, 0.0)).norm() < 1e-5, "{mean}");
+    }
 }

@@ -309,3 +309,6 @@ fn learned_heads(world: &WorldModel, scenario: &Scenario) -> Result<(Head, Head)
     };
     Ok((Head::new(collision, None).ok_or(OptimiseError::Head("collision"))?, gain))
 }
+
+#[cfg(test)]
+mod tests;

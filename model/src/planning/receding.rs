@@ -117,3 +117,78 @@ impl Receding {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crpl_sitl::Scenario;
+    use nalgebra::Vector2;
+
+    use super::*;
+    use crate::encoder::BuiltIn;
+    use crate::planning::config::OptimiseConfig;
+    use crate::planning::policy::Policies;
+    use crate::world_model::WorldModel;
+
+    /// From an untrained policy, which coasts for ever.
+    fn receding(config: RecedingConfig) -> (Receding, PlanningState) {
+        let (world, scenario) = (WorldModel::built_in(BuiltIn::Centroid).unwrap(), Scenario::default());
+        let optimise = OptimiseConfig { starts: 1, ..OptimiseConfig::default() };
+        let problem = PlanningProblem::of(&world, &scenario, &optimise, 0).unwrap();
+        let motion =
+            Policies::untrained(&mut Noise::new(0).generator(crpl_sitl::world::noise::Stream::Weights, 0))
+                .motion;
+        let objective = problem.objective(&optimise.objective, 1.0);
+        let (y_c, y_u) = world.latents_at(Vector2::new(0.3, 0.3), scenario.obstacle().position);
+        let state = PlanningState { y_c: [y_c; 2], y_u: std::iter::once([y_u; 2]).collect() };
+        (Receding::new(problem, objective, config, motion), state)
+    }
+
+    #[test]
+    fn it_goes_on_at_every_fourth_tick_and_keeps_what_is_better() {
+        let config =
+            RecedingConfig { iterations: 6, rollouts: 32, learning_rate: 1e-2, ..RecedingConfig::default() };
+        let (mut receding, state) = receding(config.clone());
+        let before = receding.motion().clone();
+        for tick in [1, 2, 3, 5] {
+            receding.at(tick, &state, 40);
+            assert_eq!(receding.motion(), &before, "tick {tick}");
+        }
+        receding.at(4, &state, 40);
+        assert_ne!(receding.motion(), &before);
+        let options = RolloutOptions { eta: Some(config.eta), power: 4.0, execution: Execution::Nearest };
+        let draws = receding.problem.draws_from(&state, &Noise::new(77), 0, 256, 40);
+        let j = |net: &Mlp| {
+            objective::evaluate(&receding.problem.plant, &receding.objective, options, net, &draws).0.j
+        };
+        assert!(j(receding.motion()) < j(&before));
+        // Equal beliefs at equal ticks give equal policies; at another tick the gusts are others.
+        let after = |tick| {
+            let (mut other, state) = self::receding(config.clone());
+            other.at(tick, &state, 40);
+            other.motion
+        };
+        assert_eq!(&after(4), receding.motion());
+        assert_ne!(&after(8), receding.motion());
+    }
+
+    #[test]
+    fn a_step_that_is_too_large_is_not_kept() {
+        let config =
+            RecedingConfig { iterations: 1, rollouts: 32, learning_rate: 1e3, ..RecedingConfig::default() };
+        let (mut receding, state) = receding(config);
+        let before = receding.motion().clone();
+        receding.at(0, &state, 40);
+        assert_eq!(receding.motion(), &before);
+    }
+
+    #[test]
+    fn no_iterations_leave_the_policy_alone_and_an_opening_may_beat_it() {
+        let (mut receding, state) = receding(RecedingConfig::default());
+        let before = receding.motion().clone();
+        receding.at(0, &state, 40);
+        assert_eq!(receding.motion(), &before);
+        assert_eq!(receding.reported_obstacle(), receding.problem.obstacle);
+        // To the goal at (0.9, 0.5) one must move at all, and so near the end too.
+        assert!([60, 1].map(|remaining| receding.better(&state, remaining)).iter().all(Option::is_some));
+    }
+}
