@@ -477,3 +477,6 @@ pub(crate) fn samples(
     let inputs = t.x.chunks_exact(FEATURES).map(|x| std::array::from_fn(|i| x[i]));
     inputs.zip(t.ratio).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -103,12 +103,13 @@ fn rollouts_begin_round_the_start_with_the_spread_of_the_config() {
     let config = OptimiseConfig { starts: 2000, start_spread: [0.02, 0.003], ..config() };
     let problem = problem(&scenario, &config);
     let place = |y: [f32; 2]| world.probe.c.apply(Vector2::new(y[0].into(), y[1].into()));
-    let pairs: Vec<_> = problem.starts.iter().map(|(now, before)| (place(*now), place(*before))).collect();
-    let deviation = |of: &dyn Fn(&(Vector2<f64>, Vector2<f64>)) -> Vector2<f64>| {
+    let pairs: Vec<[Vector2<f64>; 2]> =
+        problem.starts.iter().map(|(now, before)| [place(*now), place(*before)]).collect();
+    let deviation = |of: &dyn Fn(&[Vector2<f64>; 2]) -> Vector2<f64>| {
         (pairs.iter().map(|pair| of(pair).norm_squared()).sum::<f64>() / (2 * pairs.len()) as f64).sqrt()
     };
-    assert!((deviation(&|(now, _)| now - scenario.start) / 0.02 - 1.0).abs() < 0.1);
-    assert!((deviation(&|(now, before)| now - before) / 0.003 - 1.0).abs() < 0.1);
+    assert!((deviation(&|[now, _]| now - scenario.start) / 0.02 - 1.0).abs() < 0.1);
+    assert!((deviation(&|[now, before]| now - before) / 0.003 - 1.0).abs() < 0.1);
 }
 
 #[test]
