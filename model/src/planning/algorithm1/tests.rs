@@ -86,10 +86,14 @@ fn a_gain_within_the_noise_of_two_windows_is_none() {
     assert_eq!(over(1e-6, &[noisy(10.0), [9.3; 3]]), [false, false]);
 }
 
-struct Nobody;
+/// Takes down the cost of each iteration.
+#[derive(Default)]
+struct Costs(Vec<f64>);
 
-impl OptimiseWatch for Nobody {
-    fn iteration(&mut self, _: &str, _: usize, _: usize, _: &ObjectiveEstimate, _: f64) {}
+impl OptimiseWatch for Costs {
+    fn iteration(&mut self, _: &str, _: usize, _: usize, estimate: &ObjectiveEstimate, _: f64) {
+        self.0.push(estimate.cost);
+    }
 
     fn phase_done(&mut self, _: &str, _: &OptimiseProgress) -> Result<(), OptimiseError> {
         Ok(())
@@ -112,7 +116,7 @@ fn after(iterations: usize, averaged: usize, tolerance: f64, is_whole: bool) -> 
         iterations,
         is_whole,
     };
-    run_phase(&problem, &config, &noise, 1, &phase, &mut net, &mut Nobody);
+    run_phase(&problem, &config, &noise, 1, &phase, &mut net, &mut Costs::default());
     net
 }
 
@@ -201,4 +205,72 @@ fn a_link_that_needs_too_much_is_never_there_and_one_that_needs_nothing_always()
     };
     assert_eq!(share(1e-9), 1.0);
     assert_eq!(share(1e12), 0.0);
+}
+
+/// Costs of the iterations of a phase that learns nothing.
+fn costs(number: u64, side: PassingSide) -> Vec<f64> {
+    let config = OptimiseConfig { learning_rate: 0.0, ..config() };
+    let problem = problem(&config);
+    let mut net = Policies::shipped(BuiltIn::Centroid, 2).unwrap().motion;
+    let obstacle = problem.obstacle;
+    let phase =
+        OptimisePhase { name: String::new(), side, obstacle, eta: Some(1.0), iterations: 4, is_whole: false };
+    let mut watch = Costs::default();
+    run_phase(&problem, &config, &Noise::new(3), number, &phase, &mut net, &mut watch);
+    watch.0
+}
+
+#[test]
+fn every_iteration_of_every_phase_meets_gusts_of_its_own() {
+    let mut all = [costs(1, PassingSide::Right), costs(2, PassingSide::Right)].concat();
+    all.sort_by(f64::total_cmp);
+    assert!(all.windows(2).all(|pair| pair[0] != pair[1]), "{all:?}");
+}
+
+#[test]
+fn the_terminal_cost_counts_once_the_way_is_chosen() {
+    let [led, chosen] = [PassingSide::Right, PassingSide::Chosen].map(|side| costs(1, side)[0]);
+    assert!(chosen > 2.0 * led, "{led} {chosen}");
+}
+
+/// The comparison of two policies, and whether the better one was kept.
+fn compared(right: Mlp, left: Mlp, rollouts: usize) -> Comparison {
+    let config = OptimiseConfig { comparison_rollouts: rollouts, ..config() };
+    let problem = problem(&config);
+    let mut progress = OptimiseProgress {
+        phase: 0,
+        free: right.clone(),
+        right: Some(right.clone()),
+        left: Some(left.clone()),
+        chosen: None,
+        comparison: None,
+    };
+    choose(&problem, &config, &Noise::new(0), &mut progress).unwrap();
+    let comparison = progress.comparison.unwrap();
+    let kept = if comparison.chosen == PassingSide::Right { right } else { left };
+    assert_eq!(progress.chosen, Some(kept));
+    assert_eq!(comparison.margin, comparison.right.j - comparison.left.j);
+    comparison
+}
+
+#[test]
+fn candidates_are_compared_until_they_are_told_apart() {
+    let good = Policies::shipped(BuiltIn::Centroid, 2).unwrap().motion;
+    let lazy = Policies::untrained(&mut Noise::new(0).generator(Stream::Weights, 0)).motion;
+    let clear = compared(lazy.clone(), good.clone(), 3 * PORTION);
+    assert_eq!((clear.rollouts, clear.chosen), (PORTION, PassingSide::Left));
+    assert!(clear.margin > CLEAR * clear.margin_se && clear.margin_se > 0.0, "{clear:?}");
+    assert_eq!(compared(good.clone(), lazy, 3 * PORTION).chosen, PassingSide::Right);
+    // All but the same: the portions go on to the end, and none comes twice.
+    let mut other = good.clone();
+    for b in other.layers.iter_mut().flat_map(|layer| &mut layer.b) {
+        *b += 1e-3;
+    }
+    let close = [1, 3].map(|portions| compared(good.clone(), other.clone(), portions * PORTION));
+    assert_eq!(close.map(|c| c.rollouts), [PORTION, 3 * PORTION]);
+    let narrowed = close[1].margin_se / close[0].margin_se;
+    assert!((narrowed * 3.0_f64.sqrt() - 1.0).abs() < 0.2, "{narrowed}");
+    assert_ne!(close[0].right.cost, close[1].right.cost);
+    // A policy beside itself has no margin at all, which is clear at once.
+    assert_eq!(compared(good.clone(), good, 2 * PORTION).rollouts, PORTION);
 }
