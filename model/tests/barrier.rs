@@ -4,7 +4,9 @@
 use crpl_model::encoder::BuiltIn;
 use crpl_model::planning::algorithm1::{Comparison, OptimiseProgress, OptimiseWatch, optimise};
 use crpl_model::planning::config::{OptimiseConfig, OptimiseError};
-use crpl_model::planning::objective::{barrier, barrier_weight, estimate, influence, log_ext};
+use crpl_model::planning::objective::{
+    barrier, barrier_weight, estimate, influence, log_ext, outage_surrogate,
+};
 use crpl_model::planning::plant::{Execution, Objective, ObjectiveEstimate, RolloutOptions, Scores};
 use crpl_model::planning::problem::PlanningProblem;
 use crpl_model::world_model::WorldModel;
@@ -24,6 +26,16 @@ fn each_constraint_has_its_own_tolerance() {
     // P_safe - 1 + δ1 = 0.03, P_comm - 1 + δ2 = 0.2.
     let value = barrier(0.99, 0.9, 0.5, 0.01, &objective());
     assert_near(value, -0.5 * (0.03_f64.ln() + 0.2_f64.ln()), "barrier");
+}
+
+#[test]
+fn the_smooth_outage_is_a_half_at_the_snr_that_a_packet_needs() {
+    let at = |snr: f64| outage_surrogate(snr, 4.0, 3.0);
+    assert!((at(4.0) - 0.5).abs() < 1e-12);
+    // Without any signal sigmoid(3), with twice what it needs sigmoid(-3).
+    assert!(
+        (at(0.0) - 1.0 / (1.0 + (-3.0_f64).exp())).abs() < 1e-12 && (at(8.0) + at(0.0) - 1.0).abs() < 1e-12
+    );
 }
 
 #[test]

@@ -313,6 +313,8 @@ mod tests {
         assert_eq!(first.seed(7), 7);
         assert_eq!(fresh.seed(7), 7 + (1 << 48));
         assert_eq!(fresh.afresh().seed(7), 7 + (2 << 48));
+        // Of a seed that has that bit it is taken away: no two attempts are equal.
+        assert_eq!(fresh.seed(7 + (1 << 48)), 7);
         // An attempt that never began afresh is written as before there was such a number.
         assert!(!toml::to_string(&first).unwrap().contains("fresh"));
         assert!(toml::to_string(&fresh).unwrap().contains("fresh = 1"));

@@ -196,6 +196,7 @@ mod tests {
             decide(away, [0.0; 2], Some([0.88, 0.5])),
         ] {
             assert!(met.is_some() && met != free, "{met:?} as if nothing were in the way");
+            assert!(![Some(Motion::East), Some(Motion::Coast)].contains(&met), "{met:?} into the obstacle");
         }
     }
 }

@@ -23,6 +23,7 @@ fn the_objective_takes_the_scenarios_weights_and_the_stricter_tolerances() {
     scenario.safety.collision_tolerance = 0.03;
     scenario.safety.outage_tolerance = 0.2;
     scenario.cost.settle *= 3.0;
+    scenario.channel.snr_min = 8.0;
     let problem = problem(&scenario, &config());
     let base = Objective {
         collision_tolerance: 0.04,
@@ -35,6 +36,9 @@ fn the_objective_takes_the_scenarios_weights_and_the_stricter_tolerances() {
     assert_eq!([o.collision_tolerance, o.outage_tolerance, o.alpha], [0.03, 0.1, 7.0]);
     assert_eq!(o.snr_min, 1.5 * scope::required_snr(&scenario));
     assert_eq!(o.cost, scenario.cost);
+    let strict = Objective { collision_tolerance: 0.01, outage_tolerance: 0.3, ..base };
+    let o = problem.objective(&strict, 1.5);
+    assert_eq!([o.collision_tolerance, o.outage_tolerance], [0.01, 0.2]);
 }
 
 /// Standard deviation of all gusts.
@@ -160,7 +164,8 @@ fn the_edge_is_a_risk_in_latent_units_where_the_scenario_keeps_off_it() {
 
 #[test]
 fn the_learned_heads_have_the_scenarios_noise_power() {
-    let (world, scenario) = (world(), Scenario::default());
+    let (world, mut scenario) = (world(), Scenario::default());
+    scenario.channel.noise_power *= 5.0;
     let (_, gain) = learned_heads(&world, &scenario).unwrap();
     let o = scenario.obstacle();
     for uav in [Vector2::new(0.3, 0.3), Vector2::new(0.5, 0.2), Vector2::new(0.8, 0.5)] {
