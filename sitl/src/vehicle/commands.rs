@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use super::modes::{self, Mode};
+use super::conduct::Mode;
+use super::modes;
 use super::{Vehicle, camera, messages};
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, ImageRequest};

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
+use super::conduct::Mode;
 use super::messages::{self, Row, VehicleState};
 use super::missions::MissionUpload;
-use super::modes::Mode;
 use super::{Peer, TEXT_PAUSE, Vehicle};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;

@@ -1,6 +1,7 @@
 //! Message signing, as peers meet it.
 
 use super::*;
+use crate::link::signing::Rejection;
 use crate::link::signing::{self, Key, Policy};
 
 const PLACE: usize = 2;
