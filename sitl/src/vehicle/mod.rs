@@ -13,7 +13,7 @@
 //! | `conduct` | mode, motors, what is followed |
 //! | `failsafe` | silence, counted in control intervals, and what follows it |
 //! | `fence` | areas that it must not leave or enter |
-//! | `files` | that there are none |
+//! | `files` | that there are none, nor logs |
 //! | `guidance` | braking, and going to a point |
 //! | `guided` | places, velocities and heights that GUIDED follows |
 //! | `interval` | one control interval: radio, who flies, what was touched |
@@ -65,7 +65,7 @@ pub use params::ParamError;
 pub use peers::MAX_PEERS;
 pub use tally::Tally;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use crate::link::dialect::{self, MavSeverity};
@@ -152,6 +152,8 @@ pub struct Vehicle {
     /// What it touched in the interval that just ended.
     contact: Contact,
     said: BTreeMap<&'static str, Duration>,
+    /// What is said once a flight.
+    told: BTreeSet<&'static str>,
     /// The control interval on the wall's clock; `None` in lockstep.
     period: Option<Duration>,
     /// Default rates that were changed, Hz by message.
@@ -206,6 +208,7 @@ impl Vehicle {
             newest_power: None,
             contact: Contact::default(),
             said: BTreeMap::new(),
+            told: BTreeSet::new(),
             period: None,
             default_hz: BTreeMap::new(),
             epoch: None,

@@ -10,7 +10,7 @@ use crate::link::dialect::MavSeverity;
 use crate::link::encoder::Encoder;
 use crate::link::packet::Packet;
 use crate::link::sequence::{Sequence, SequenceTracker};
-use crate::link::signing::Origin;
+use crate::link::signing::{Origin, Rejection};
 use crate::link::{AUTOPILOT, CAMERA, PeerId, RADIO};
 
 /// Peers that are served at a time. Of those that are silent, the one silent for longest makes room for a new one.
@@ -119,8 +119,9 @@ impl Vehicle {
         packets.iter().for_each(|packet| self.meter.numbered(peer.number(packet)));
         let stamp = self.stamp();
         for packet in &packets {
-            if let Ok(origin) = self.signing.check(packet, stamp) {
-                self.take(packet, origin, from, now);
+            match self.signing.check(packet, stamp) {
+                Ok(origin) => self.take(packet, origin, from, now),
+                Err(rejection) => self.tell_rejected(rejection, from),
             }
         }
         packets.clear();
@@ -133,7 +134,13 @@ impl Vehicle {
         let stamp = self.stamp();
         let packets = peer.decoder.datagram(bytes).into_iter();
         let packets: Vec<(Packet, Origin)> = packets
-            .filter_map(|packet| self.signing.check(&packet, stamp).ok().map(|origin| (packet, origin)))
+            .filter_map(|packet| match self.signing.check(&packet, stamp) {
+                Ok(origin) => Some((packet, origin)),
+                Err(rejection) => {
+                    self.tell_rejected(rejection, from);
+                    None
+                }
+            })
             .collect();
         // Junk makes nobody a peer. MAVLink 1 does: pymavlink begins with it and changes over once it
         // hears MAVLink 2.
@@ -155,6 +162,21 @@ impl Vehicle {
         for (packet, origin) in &packets {
             self.take(packet, *origin, from, now);
         }
+    }
+
+    /// Says once of each kind that packets are refused: who is refused hears nothing else.
+    fn tell_rejected(&mut self, rejection: Rejection, from: PeerId) {
+        let (kind, text) = match rejection {
+            Rejection::Unsigned => ("unsigned", "packets refused: unsigned"),
+            Rejection::Signature => ("signature", "packets refused: wrong signature"),
+            Rejection::Old => ("old", "packets refused: signed over a minute ago"),
+            // Redundant paths bring copies.
+            Rejection::Replayed => return,
+        };
+        if !self.told.contains(kind) {
+            tracing::warn!("{text}, from {from}; said once");
+        }
+        self.say_once(kind, MavSeverity::MAV_SEVERITY_WARNING, text);
     }
 
     /// Whether there is room for one more peer, if need be in place of one that says nothing.

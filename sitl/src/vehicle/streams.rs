@@ -149,6 +149,13 @@ impl Vehicle {
         self.tell_text(severity, text);
     }
 
+    /// Says something to all peers, once of its kind.
+    pub(super) fn say_once(&mut self, kind: &'static str, severity: MavSeverity, text: &str) {
+        if self.told.insert(kind) {
+            self.tell_text(severity, text);
+        }
+    }
+
     /// Says something to all peers, however often.
     pub(super) fn tell_text(&mut self, severity: MavSeverity, text: &str) {
         self.tell_all(&dialect::STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() });
