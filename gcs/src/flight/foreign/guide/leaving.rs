@@ -100,9 +100,9 @@ impl Guide {
         let flies = self.has_control() || matches!(self.phase, GuidePhase::Left | GuidePhase::Braking);
         if flies && before.is_some_and(|before| back < before) {
             self.evidence.rebooted = true;
-            self.say("the vehicle's clock has begun anew".into());
+            self.say("its clock has begun anew".into());
             if self.phase != GuidePhase::Left {
-                self.leave("the vehicle has started anew".into(), now);
+                self.leave("its clock has begun anew".into(), now);
             }
         }
         let Some(asked) = u64::try_from(sync.ts1).ok().map(Duration::from_nanos) else { return };
