@@ -153,3 +153,13 @@ fn every_camera_with_a_name_stands_in_docs_camera_under_its_number() {
         assert!(page.contains(&row), "{row}");
     }
 }
+
+/// Report V18: north is down in the picture and up in the plot, said nowhere near.
+#[test]
+fn pages_about_pictures_say_that_north_is_down_in_them() {
+    for page in ["docs/camera.md", "docs/mavlink.md"] {
+        let text = std::fs::read_to_string(program::workspace().join(page)).unwrap().to_lowercase();
+        assert!(text.contains("north is down"), "{page}");
+        assert!(text.contains("plots have north up"), "{page}");
+    }
+}

@@ -17,8 +17,10 @@ pub enum FlightEnd {
     Interrupted(Signal),
     /// The operator has changed the vehicle's mode, and flies.
     TakenOver,
-    /// A failsafe of the vehicle, or a crash, has ended it.
+    /// A failsafe of the vehicle has ended it.
     Failsafe,
+    /// The vehicle's motors have stopped in the air, or it says that it has crashed.
+    Crashed,
     /// Nothing came for [`super::Options::timeout`].
     LinkLost,
     /// The vehicle's time has gone back.
@@ -38,6 +40,7 @@ impl FlightEnd {
             Self::Interrupted(_) => "interrupted",
             Self::TakenOver => "taken over",
             Self::Failsafe => "failsafe",
+            Self::Crashed => "crashed",
             Self::LinkLost => "link lost",
             Self::Rebooted => "rebooted",
             Self::ForeignSetpoint => "foreign setpoint",
@@ -57,6 +60,7 @@ impl FlightEnd {
             Self::ForeignSetpoint => Some(6),
             Self::Failsafe => Some(8),
             Self::NoController => Some(9),
+            Self::Crashed => Some(10),
         }
     }
 }

@@ -16,4 +16,5 @@ pub mod retry;
 pub mod session;
 pub mod spotter;
 pub mod steering;
+pub mod texts;
 pub mod tlog;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crpl_sitl::link::decoder::Decoder;
-use crpl_sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, MavMessage, STATUSTEXT_DATA};
+use crpl_sitl::link::dialect::{GLOBAL_POSITION_INT_DATA, MavMessage};
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::status::Heartbeat;
 use crpl_sitl::link::messages::telemetry::NamedValueFloat;
@@ -14,6 +14,7 @@ use crpl_sitl::vehicle::geodesy::{Home, Site};
 use serde_json::{Value, json};
 
 use crate::tools::fleet::{Fleet, Stack};
+use crate::tools::texts::Texts;
 use crate::watch::feed::{Feed, ShownFrame, ShownVehicle, VERSION, WatchEvent, rounded};
 
 /// Seconds of an interval on the page.
@@ -37,6 +38,7 @@ pub struct Spotter {
     control: bool,
     decoder: Decoder,
     fleet: Fleet,
+    texts: Texts,
     site: Option<Site>,
     buildings: Option<Value>,
     /// Where the station stands: m east and north of the origin.
@@ -63,6 +65,7 @@ impl Spotter {
             control,
             decoder: Decoder::default(),
             fleet: Fleet::default(),
+            texts: Texts::default(),
             site: None,
             buildings,
             base: None,
@@ -131,12 +134,9 @@ impl Spotter {
         for news in self.fleet.packet(packet, now) {
             self.feed.log("info", time_s, news.to_string());
         }
-        if packet.is::<STATUSTEXT_DATA>()
-            && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
-        {
-            let text = format!("vehicle {}: {}", packet.system, message.text.to_str().unwrap_or_default());
-            let level = if message.severity as u8 <= 4 { "warn" } else { "info" };
-            self.feed.log(level, time_s, text);
+        for said in self.texts.packet(packet) {
+            let level = if said.is_warning() { "warn" } else { "info" };
+            self.feed.log(level, time_s, format!("vehicle {}: {}", said.system, said.text));
         }
         if let Some(told) = NamedValueFloat::of(packet).filter(|told| told.value.is_finite()) {
             let radio = self.radios.entry(packet.system).or_default();

@@ -85,6 +85,10 @@ pub fn run(args: &TlogArgs) -> Result<()> {
             let wanted = |(after, frame): &&(Duration, LogFrame<'_>)| {
                 part.contains(&after.as_secs_f64()) && sysid.is_none_or(|id| id == frame.packet.system)
             };
+            if !frames.iter().any(|frame| wanted(&frame)) {
+                let lasts = frames.last().map_or(0.0, |(after, _)| after.as_secs_f64());
+                bail!("{}: no frame in that part; the log lasts {lasts:.1} s", file.display());
+            }
             write(out, frames.iter().filter(wanted).map(|(_, frame)| frame))?;
         }
         TlogAction::Merge { files, out } => {
@@ -205,8 +209,10 @@ impl TlogInfo {
         for (title, rows) in [("system/component", &self.senders), ("message", &self.messages)] {
             let _ = writeln!(text, "\n{title:<32} {:>9} {:>9}", "frames", "/s");
             for (name, count) in rows {
-                let rate = *count as f64 / self.seconds.max(1e-6);
-                let _ = writeln!(text, "{name:<32} {count:>9} {rate:>9.1}");
+                // A log of one moment has no rates.
+                let rate = (self.seconds > 0.0).then(|| format!("{:.1}", *count as f64 / self.seconds));
+                let rate = rate.unwrap_or_else(|| "-".into());
+                let _ = writeln!(text, "{name:<32} {count:>9} {rate:>9}");
             }
         }
         text
@@ -246,6 +252,13 @@ mod tests {
         assert_eq!((info.senders["1/1"], info.messages["HEARTBEAT"]), (4, 4));
     }
 
+    /// One frame was told as 1000000.0 a second.
+    #[test]
+    fn a_log_of_one_moment_has_no_rates() {
+        let text = TlogInfo::of(&log(1, &[10])).text();
+        assert!(text.contains("HEARTBEAT") && !text.contains("1000000"), "{text}");
+    }
+
     #[test]
     fn logs_are_cut_and_merged_byte_for_byte() {
         let folder = tempfile::tempdir().unwrap();
@@ -265,6 +278,10 @@ mod tests {
         };
         assert_eq!(cut(Some(1), 0.0, None, "ones"), log(1, &[10, 12, 14]));
         assert_eq!(cut(None, 1.0, Some(3.0), "middle").len(), merged.len() / 5 * 2);
+        let none = TlogAction::Cut { file: path("ab"), from: 9.0, to: None, sysid: None, out: path("none") };
+        let error = run(&TlogArgs { action: none }).unwrap_err().to_string();
+        assert!(error.contains("no frame in that part; the log lasts 4.0 s"), "{error}");
+        assert!(!path("none").exists(), "an empty log is none");
         std::fs::write(path("text"), "no log").unwrap();
         let info = TlogAction::Info { file: path("text"), json: false };
         assert!(run(&TlogArgs { action: info }).unwrap_err().to_string().contains("is this a tlog?"));

@@ -42,8 +42,21 @@ pub fn parse(text: &str) -> Result<Vec<Entry>, NoParam> {
         text.lines().enumerate().map(|(k, text)| (k + 1, text.split('#').next().unwrap_or("").trim()));
     lines
         .filter(|(_, text)| !text.is_empty())
-        .map(|(line, text)| entry(line, text).ok_or_else(|| NoParam { line, text: text.into() }))
+        .map(|(line, text)| entry(line, text).ok_or_else(|| NoParam { line, text: excerpt(text) }))
         .collect()
+}
+
+/// What an error shows of a line: neither megabytes nor what a terminal would obey.
+#[must_use]
+pub fn excerpt(text: &str) -> String {
+    const MOST: usize = 60;
+    let cut = if text.chars().nth(MOST).is_some() { "..." } else { "" };
+    text.chars().take(MOST).flat_map(shown).collect::<String>() + cut
+}
+
+fn shown(c: char) -> impl Iterator<Item = char> {
+    let (plain, escaped) = if c.is_control() { (None, Some(c.escape_default())) } else { (Some(c), None) };
+    plain.into_iter().chain(escaped.into_iter().flatten())
 }
 
 fn entry(line: usize, text: &str) -> Option<Entry> {
@@ -93,6 +106,15 @@ mod tests {
             let error = parse(&format!("GOOD 1\n{bad}\n")).unwrap_err().to_string();
             assert!(error.starts_with("line 2: ") && error.contains(bad), "{error}");
         }
+    }
+
+    /// A file without line ends was shown whole, 5 MB long.
+    #[test]
+    fn an_error_shows_a_part_of_a_long_line_and_no_control_characters() {
+        let error = parse(&"A".repeat(5_000_000)).unwrap_err().to_string();
+        assert!(error.len() < 150 && error.contains("AAA..."), "{error}");
+        let error = parse("A\u{1b}[2J").unwrap_err().to_string();
+        assert!(error.contains("A\\u{1b}[2J"), "{error}");
     }
 
     #[test]

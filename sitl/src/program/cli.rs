@@ -14,6 +14,7 @@ use crate::link::signing::{Policy, Signing, Store};
 use crate::program::air::{self, AirGap};
 use crate::program::camera::CameraFlag;
 use crate::program::common::Examples;
+use crate::program::files;
 use crate::program::fleet;
 use crate::program::flight_log::FlightLog;
 use crate::program::shell::{Ended, LINKS, Shell};
@@ -351,7 +352,7 @@ fn writable(path: &Path) -> std::io::Result<()> {
 }
 
 fn read_params(path: &Path) -> Result<Vec<Entry>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     param_file::parse(&text).with_context(|| path.display().to_string())
 }
 

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use super::conduct::Conduct;
 use super::geodesy::{Home, Site};
 use super::heading::Heading;
 use super::height::Height;
-use super::modes::Conduct;
 use super::{Battery, Contact, LossOfLink, Shots, Vehicle};
 use crate::link::dialect::MavSeverity;
 use crate::link::wire::Clock;

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use super::modes::{self, Mode};
+use super::conduct::Mode;
+use super::modes;
 use super::{Vehicle, camera, messages};
 use crate::link::dialect::{self, MavResult, MavSeverity, MavType};
 use crate::link::image::{self, ImageRequest};
@@ -12,9 +13,9 @@ use crate::link::messages::param::{ParamRequestList, ParamRequestRead, ParamSet}
 use crate::link::messages::service::{FileTransfer, Ping, RequestDataStream, Timesync};
 use crate::link::messages::status::Heartbeat;
 use crate::link::messages::{Target, View};
-use crate::link::packet::Packet;
+use crate::link::packet::{Packet, PacketRef};
 use crate::link::wire::{self, Ask, CMD_TX_POWER, Refusal, Setpoint};
-use crate::link::{AUTOPILOT, CAMERA, MessageData, PeerId, RADIO};
+use crate::link::{AUTOPILOT, CAMERA, MessageData, PeerId, RADIO, message_name};
 use crate::radio::message::Command;
 use crate::units::TxPower;
 
@@ -28,6 +29,15 @@ const CMD_REQUEST_CAPABILITIES: u16 = 520;
 const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
 /// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole frame.
 pub(super) const IMAGE: f32 = 130.0;
+/// What autopilots take and this one does not: it says so.
+const LACKS: [u32; 6] = [
+    dialect::MANUAL_CONTROL_DATA::ID,
+    dialect::RC_CHANNELS_OVERRIDE_DATA::ID,
+    dialect::SET_ATTITUDE_TARGET_DATA::ID,
+    dialect::SET_ACTUATOR_CONTROL_TARGET_DATA::ID,
+    dialect::SET_GPS_GLOBAL_ORIGIN_DATA::ID,
+    dialect::SET_HOME_POSITION_DATA::ID,
+];
 const OK: MavResult = MavResult::MAV_RESULT_ACCEPTED;
 
 impl Vehicle {
@@ -83,6 +93,15 @@ impl Vehicle {
             if sync.tc1 == 0 && self.autopilot_is_meant(sync.target) {
                 let tc1 = self.boot_ns(now) as i64;
                 self.reply_view(from, &Timesync { tc1, target: asker.into(), ..sync });
+            }
+        } else if packet.is::<dialect::LOG_REQUEST_LIST_DATA>() {
+            if self.autopilot_is_meant(PacketRef::from(packet).target()) {
+                self.logs(from);
+            }
+        } else if LACKS.contains(&packet.id) {
+            if self.autopilot_is_meant(PacketRef::from(packet).target()) {
+                let name = message_name(packet.id).unwrap_or_default();
+                self.say_once(name, MavSeverity::MAV_SEVERITY_WARNING, &format!("{name} is not supported"));
             }
         } else {
             self.mission(packet, asker, from, now);

@@ -15,7 +15,7 @@
 use std::time::Duration;
 
 use super::Vehicle;
-use super::modes::Mode;
+use super::conduct::Mode;
 use crate::link::dialect::MavSeverity;
 use crate::scenario::Action;
 

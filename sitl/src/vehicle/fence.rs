@@ -15,8 +15,8 @@ use std::time::Duration;
 
 use nalgebra::Vector2;
 
-use super::modes::Mode;
-use super::plan::{Fault, StoredItem};
+use super::conduct::Mode;
+use super::item::{Fault, StoredItem};
 use super::{Vehicle, guidance};
 use crate::link::dialect::{self, FenceBreach, FenceMitigate, MavMissionResult, MavSeverity};
 use crate::scenario::Action;

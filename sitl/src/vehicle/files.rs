@@ -7,8 +7,11 @@
 //! | ListDirectory, OpenFileRO, CalcFileCRC32 | Nak FileNotFound |
 //! | anything else | Nak UnknownCommand |
 //! | an Ack or a Nak | nothing |
+//!
+//! LOG_REQUEST_LIST is answered by one LOG_ENTRY that says that there are no logs, as ArduPilot does.
 
 use super::Vehicle;
+use crate::link::dialect;
 use crate::link::messages::service::FileTransfer;
 use crate::link::{AUTOPILOT, PeerId};
 
@@ -23,6 +26,11 @@ const UNKNOWN_COMMAND: u8 = 7;
 const FILE_NOT_FOUND: u8 = 10;
 
 impl Vehicle {
+    /// Answers LOG_REQUEST_LIST.
+    pub(super) fn logs(&mut self, from: PeerId) {
+        self.reply(from, &dialect::LOG_ENTRY_DATA::default());
+    }
+
     /// Answers FILE_TRANSFER_PROTOCOL.
     pub(super) fn files(&mut self, asked: &FileTransfer, asker: (u8, u8), from: PeerId) {
         let request = asked.opcode;

@@ -37,10 +37,10 @@ use std::time::Duration;
 use nalgebra::Vector2;
 
 use super::battery::Battery;
+use super::conduct::Conduct;
 use super::geodesy::{self, Site};
 use super::heading::Heading;
 use super::height::Height;
-use super::modes::Conduct;
 use crate::camera::SIDE;
 use crate::link::dialect::{
     self, CameraCapFlags, GpsFixType, MavAutopilot, MavLandedState, MavModeFlag, MavProtocolCapability,

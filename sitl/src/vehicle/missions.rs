@@ -28,10 +28,11 @@
 
 use std::time::Duration;
 
+use super::conduct::Mode;
 use super::fence::{self, Fence};
 use super::guided::GuidedTarget;
-use super::modes::Mode;
-use super::plan::{Fault, StoredItem, StoredMission, list_id};
+use super::item::{Fault, StoredItem, list_id};
+use super::plan::StoredMission;
 use super::{Vehicle, height};
 use crate::link::dialect::{self, MavMissionResult, MavMissionType, MavResult};
 use crate::link::messages::View;

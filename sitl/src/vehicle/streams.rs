@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
+use super::conduct::Mode;
 use super::messages::{self, Row, VehicleState};
 use super::missions::MissionUpload;
-use super::modes::Mode;
 use super::{Peer, TEXT_PAUSE, Vehicle};
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::encoder::DATAGRAM;
@@ -147,6 +147,13 @@ impl Vehicle {
         }
         self.said.insert(kind, now);
         self.tell_text(severity, text);
+    }
+
+    /// Says something to all peers, once of its kind.
+    pub(super) fn say_once(&mut self, kind: &'static str, severity: MavSeverity, text: &str) {
+        if self.told.insert(kind) {
+            self.tell_text(severity, text);
+        }
     }
 
     /// Says something to all peers, however often.

@@ -174,6 +174,7 @@ async fn fly_with<C>(
     let mut stopping: Option<(Signal, Duration)> = None;
     loop {
         let now = start.elapsed();
+        guide.signatures(options.signing_key.is_some().then(|| hub.refused()));
         let datagram = guide.poll(now);
         if !datagram.is_empty() {
             hub.send(&datagram).await;
@@ -214,6 +215,11 @@ async fn fly_with<C>(
                     tracing::warn!("the vehicle acts by itself ({why}): no more setpoints from here");
                     pass_on(&mut hub, &mut guide, start, options).await;
                     return Ok(end(hub, flight, FlightEnd::Failsafe, why).await);
+                }
+                GuideEvent::Crashed(why) => {
+                    tracing::warn!("the vehicle has come down ({why}): no more setpoints from here");
+                    pass_on(&mut hub, &mut guide, start, options).await;
+                    return Ok(end(hub, flight, FlightEnd::Crashed, why).await);
                 }
                 GuideEvent::Failed(how, why) if begun.is_some() => {
                     tracing::warn!("the flight ends: {why}");

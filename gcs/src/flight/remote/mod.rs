@@ -14,7 +14,7 @@ use crpl_sitl::Scenario;
 use crpl_sitl::camera::Frame;
 use crpl_sitl::link::AUTOPILOT;
 use crpl_sitl::link::decoder::Decoder;
-use crpl_sitl::link::dialect::{self, MavMessage, MavSeverity};
+use crpl_sitl::link::dialect::{self, MavSeverity};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::image::{self, Reassembler};
 use crpl_sitl::link::latents;
@@ -26,6 +26,7 @@ use crpl_sitl::units::Tick;
 
 use crate::tools::fleet::{Fleet, FlightMode, News};
 use crate::tools::identity::Identity;
+use crate::tools::texts::Texts;
 
 /// Something worth acting on.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,6 +65,7 @@ pub struct Remote {
     /// Repeats since the newest percept.
     repeats: u32,
     fleet: Fleet,
+    texts: Texts,
     identity: Identity,
     /// Whether the vehicle says where on the map it is.
     on_map: bool,
@@ -98,6 +100,7 @@ impl Remote {
             command: None,
             repeats: 0,
             fleet: Fleet::default(),
+            texts: Texts::default(),
             identity: Identity::default(),
             on_map: false,
         }
@@ -156,11 +159,9 @@ impl Remote {
             if self.newest < Some(sent.tick) {
                 self.frame = Some((sent.tick, Frame::black(), Some(sent)));
             }
-        } else if packet.is::<dialect::STATUSTEXT_DATA>()
-            && let Some(MavMessage::STATUSTEXT(message)) = packet.message()
-        {
-            let text = message.text.to_str().unwrap_or_default().to_owned();
-            events.push(RemoteEvent::Text(message.severity as u8, text));
+        } else if packet.is::<dialect::STATUSTEXT_DATA>() {
+            let said = self.texts.packet(packet).into_iter();
+            events.extend(said.map(|said| RemoteEvent::Text(said.severity, said.text)));
         } else if packet.is::<dialect::HEARTBEAT_DATA>() {
             for news in self.fleet.packet(packet, now) {
                 events.push(RemoteEvent::News(news));

@@ -21,6 +21,7 @@ use crpl_sitl::link::dialect::{HOME_POSITION_DATA, MavMessage};
 
 use crate::tools::fleet::Stack;
 use crate::tools::session::{LinkFlags, Session};
+use crate::tools::texts::{SaidText, Texts};
 use exchange::{Clear, Download, ListKind, Upload};
 use file::MissionPlan;
 use item::Item;
@@ -126,9 +127,11 @@ async fn second_thoughts(session: &mut Session) -> Result<()> {
     if session.vehicle().is_none_or(|vehicle| vehicle.mode.stack != Stack::Px4) {
         return Ok(());
     }
-    for packet in session.listen(SECOND_THOUGHTS).await? {
-        let Some(MavMessage::STATUSTEXT(message)) = packet.message() else { continue };
-        let text = message.text.to_str().unwrap_or_default();
+    let mut texts = Texts::default();
+    let heard = session.listen(SECOND_THOUGHTS).await?;
+    let mut said: Vec<SaidText> = heard.iter().flat_map(|packet| texts.packet(packet)).collect();
+    said.extend(texts.unfinished());
+    for SaidText { text, .. } in said {
         let lower = text.to_lowercase();
         if lower.contains("mission") && ["reject", "invalid", "not valid"].iter().any(|w| lower.contains(w)) {
             bail!("the vehicle will not fly it: {text}");

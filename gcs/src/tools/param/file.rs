@@ -5,6 +5,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use crpl_sitl::link::param_file::excerpt;
+use crpl_sitl::program::files;
 
 use super::exchange::Param;
 
@@ -26,7 +28,7 @@ pub struct Line {
 /// # Errors
 /// The file cannot be read, or a line is no parameter.
 pub fn read(path: &Path) -> Result<Vec<Line>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text = files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let lines = parse(&text).with_context(|| path.display().to_string())?;
     if lines.is_empty() {
         bail!("{}: no parameter in it", path.display());
@@ -49,14 +51,15 @@ pub fn parse(text: &str) -> Result<Vec<Line>> {
             [name, value] => (name, value, None),
             [system, component, name, value, _] => {
                 let id = |text: &str| {
-                    text.parse::<u8>().with_context(|| format!("line {}: `{text}` is no id", k + 1))
+                    text.parse::<u8>()
+                        .with_context(|| format!("line {}: `{}` is no id", k + 1, excerpt(text)))
                 };
                 (name, value, Some((id(system)?, id(component)?)))
             }
-            _ => bail!("line {}: expected NAME VALUE, found `{}`", k + 1, line.trim()),
+            _ => bail!("line {}: expected NAME VALUE, found `{}`", k + 1, excerpt(line.trim())),
         };
         if value.parse::<f64>().is_err() {
-            bail!("line {}: {name}: `{value}` is no number", k + 1);
+            bail!("line {}: {}: `{}` is no number", k + 1, excerpt(name), excerpt(value));
         }
         lines.push(Line { number: k + 1, name: name.into(), value: value.into(), of });
     }

@@ -6,7 +6,7 @@
 //!
 //! | module | messages |
 //! |---|---|
-//! | [`status`] | HEARTBEAT, AUTOPILOT_VERSION, MESSAGE_INTERVAL |
+//! | [`status`] | HEARTBEAT, STATUSTEXT, AUTOPILOT_VERSION, MESSAGE_INTERVAL |
 //! | [`telemetry`] | LOCAL_POSITION_NED, GLOBAL_POSITION_INT, POSITION_TARGET_LOCAL_NED, DEBUG_VECT, NAMED_VALUE_FLOAT |
 //! | [`setpoint`] | SET_POSITION_TARGET_LOCAL_NED, SET_POSITION_TARGET_GLOBAL_INT |
 //! | [`command`] | COMMAND_LONG, COMMAND_INT, COMMAND_ACK, SET_MODE |
@@ -110,8 +110,20 @@ impl<const N: usize> Text<N> {
     /// The text up to its first NUL; what is no UTF-8 is replaced.
     #[must_use]
     pub fn lossy(&self) -> Cow<'_, str> {
+        String::from_utf8_lossy(self.bytes())
+    }
+
+    /// Its bytes up to its first NUL.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
         let end = self.0.iter().position(|&byte| byte == 0).unwrap_or(N);
-        String::from_utf8_lossy(&self.0[..end])
+        &self.0[..end]
+    }
+}
+
+impl<const N: usize> From<[u8; N]> for Text<N> {
+    fn from(bytes: [u8; N]) -> Self {
+        Self(bytes)
     }
 }
 

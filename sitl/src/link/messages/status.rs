@@ -1,5 +1,10 @@
 //! What a component says of itself.
 
+use super::Text;
+
+/// The longest part of a text, bytes.
+pub const MAX_TEXT: usize = 50;
+
 views! {
     /// Once a second: what the sender is, and its mode.
     Heartbeat = HEARTBEAT_DATA {
@@ -15,6 +20,18 @@ views! {
         7 => system_status: u8,
         /// 3 for MAVLink 2.
         8 => mavlink_version: u8,
+    }
+
+    /// A text for people, or a part of a long one.
+    StatusText = STATUSTEXT_DATA {
+        /// MAV_SEVERITY: 0 (emergency) to 7 (debug).
+        0 => severity: u8,
+        /// Up to its first NUL. A part without one goes on in the next.
+        1 => text: Text<MAX_TEXT>,
+        /// The same in all parts of a text; 0: this is a whole one.
+        51 => id: u16,
+        /// Number of the part, from 0.
+        53 => chunk_seq: u8,
     }
 
     /// What an autopilot can do.

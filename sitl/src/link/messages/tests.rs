@@ -12,7 +12,7 @@ use super::mission::{
 use super::param::{ParamRequestList, ParamRequestRead, ParamSet, ParamValue};
 use super::service::{FileTransfer, Ping, RequestDataStream, SetupSigning, Timesync};
 use super::setpoint::{SetPositionTargetGlobalInt, SetPositionTargetLocalNed};
-use super::status::{AutopilotVersion, Heartbeat, MessageInterval};
+use super::status::{AutopilotVersion, Heartbeat, MessageInterval, StatusText};
 use super::telemetry::{
     DebugVect, GlobalPositionInt, LocalPositionNed, NamedValueFloat, PositionTargetLocalNed,
 };
@@ -43,6 +43,13 @@ fn agree<M: MessageData, V: View + PartialEq + std::fmt::Debug>(message: &M, fie
 
 #[test]
 fn status() {
+    let message = STATUSTEXT_DATA {
+        severity: MavSeverity::MAV_SEVERITY_ERROR,
+        text: "said".into(),
+        id: 0x0201,
+        chunk_seq: 3,
+    };
+    agree(&message, StatusText { severity: 3, text: "said".into(), id: 0x0201, chunk_seq: 3 });
     let message = HEARTBEAT_DATA {
         custom_mode: 0x0403_0201,
         mavtype: MavType::MAV_TYPE_GCS,

@@ -41,3 +41,38 @@ fn there_are_no_files_and_the_asker_knows_at_once() {
         "another system is meant"
     );
 }
+
+/// MAVProxy's and QGroundControl's list of logs waited for an answer that never came.
+#[test]
+fn there_are_no_logs_and_the_asker_knows_at_once() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let mut ask = |target_system| {
+        bench.send(&dialect::LOG_REQUEST_LIST_DATA {
+            start: 0,
+            end: 0xFFFF,
+            target_system,
+            target_component: 1,
+        })
+    };
+    let answers = ask(7);
+    let Some(MavMessage::LOG_ENTRY(entry)) = answers[0].message() else { panic!("{answers:?}") };
+    assert_eq!((answers.len(), entry.num_logs, entry.size), (1, 0, 0));
+    assert!(ask(8).is_empty(), "another system is meant");
+}
+
+/// Attitudes, sticks and origins were dropped without a word.
+#[test]
+fn what_the_vehicle_lacks_is_said_once() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let attitude = |target_system| dialect::SET_ATTITUDE_TARGET_DATA { target_system, ..Default::default() };
+    assert_eq!(texts(&bench.send(&attitude(8))), [""; 0], "another system is meant");
+    assert_eq!(texts(&bench.send(&attitude(7))), ["SET_ATTITUDE_TARGET is not supported"]);
+    bench.now += Duration::from_secs(60);
+    assert_eq!(texts(&bench.send(&attitude(7))), [""; 0]);
+    let sticks = dialect::MANUAL_CONTROL_DATA { target: 7, ..Default::default() };
+    assert_eq!(texts(&bench.send(&sticks)), ["MANUAL_CONTROL is not supported"]);
+    let origin = dialect::SET_GPS_GLOBAL_ORIGIN_DATA { target_system: 7, ..Default::default() };
+    assert_eq!(texts(&bench.send(&origin)), ["SET_GPS_GLOBAL_ORIGIN is not supported"]);
+}

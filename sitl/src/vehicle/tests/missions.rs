@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::*;
 use crate::link::dialect::{MavFrame, MavMissionResult as Result_, MavMissionType, MissionState};
-use crate::vehicle::modes::Mode;
+use crate::vehicle::conduct::Mode;
 
 const FENCE: MavMissionType = MavMissionType::MAV_MISSION_TYPE_FENCE;
 const MISSION: MavMissionType = MavMissionType::MAV_MISSION_TYPE_MISSION;

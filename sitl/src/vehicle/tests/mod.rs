@@ -15,14 +15,17 @@ use std::net::SocketAddr;
 
 use super::*;
 use crate::link::MessageData;
+use crate::link::RADIO;
 use crate::link::crc::checksum;
+use crate::link::decoder::Decoder;
 use crate::link::dialect::{self, MavCmd, MavMessage, MavResult, PositionTargetTypemask};
+use crate::link::encoder::Encoder;
 use crate::link::image::Reassembler;
 use crate::link::messages::command::{CommandAck, CommandLong};
 use crate::link::messages::status::MessageInterval;
 use crate::link::messages::{Target, View};
 use crate::link::packet::Packet;
-use crate::link::wire::{self, TelemetryReader};
+use crate::link::wire::{self, Refusal, TelemetryReader};
 use crate::radio::message::{Command, Held};
 use crate::scenario::Scenario;
 use crate::units::TxPower;

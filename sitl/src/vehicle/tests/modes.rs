@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::*;
 use crate::scenario::CollisionAction;
-use crate::vehicle::modes::Mode;
+use crate::vehicle::conduct::Mode;
 
 /// Result, and the text if there is one.
 fn told(bench: &mut Bench, ask: &impl MessageData) -> (Option<MavResult>, Option<String>) {

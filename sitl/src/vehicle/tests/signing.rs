@@ -1,6 +1,7 @@
 //! Message signing, as peers meet it.
 
 use super::*;
+use crate::link::signing::Rejection;
 use crate::link::signing::{self, Key, Policy};
 
 const PLACE: usize = 2;
@@ -130,4 +131,30 @@ fn a_key_for_another_system_is_none_of_ours() {
     bench.hello();
     bench.send(&dialect::SETUP_SIGNING_DATA { target_system: 9, ..setup(key().bytes()) });
     assert!(!bench.vehicle.signing.is_on());
+}
+
+/// Whoever was refused heard nothing, and neither did anybody else.
+#[test]
+fn refused_packets_are_told_once_with_their_reason() {
+    let (mut bench, mut ours) = (bench(), station());
+    bench.hello();
+    bench.send(&setup(key().bytes()));
+    bench.vehicle.signing_mut().set_policy(Policy::Required);
+    let mut other = Signing::new(Some(Key::of_passphrase("goodbye")), Policy::Optional);
+    let said = |bench: &mut Bench, datagram: &[u8]| texts(&bench.datagram(datagram));
+    let unsigned = heartbeat(&mut bench);
+    assert_eq!(said(&mut bench, &unsigned), ["packets refused: unsigned"]);
+    let wrong = heartbeat(&mut bench);
+    let wrong = sign(&mut other, wrong);
+    assert_eq!(said(&mut bench, &wrong), ["packets refused: wrong signature"]);
+    let good = heartbeat(&mut bench);
+    let good = sign(&mut ours, good);
+    assert_eq!(said(&mut bench, &good), [""; 0]);
+    let old = heartbeat(&mut bench);
+    let minutes_ago = signing::timestamp(Duration::from_secs(1_799_999_000));
+    let old = station().sign(old, 3, minutes_ago).remove(0);
+    assert_eq!(said(&mut bench, &old), ["packets refused: signed over a minute ago"]);
+    bench.now += Duration::from_secs(60);
+    let unsigned = heartbeat(&mut bench);
+    assert_eq!(said(&mut bench, &unsigned), [""; 0], "once");
 }

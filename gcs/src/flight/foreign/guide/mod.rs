@@ -13,8 +13,8 @@
 //! | end | mode BRAKE, LAND or RTL | mode HOLD, LAND or RTL |
 //!
 //! A vehicle that flies already is brought to its height by position setpoints. One that leaves its mode by
-//! itself or by an operator's hand, from its arming on, gets no more setpoints; its texts tell which of both it
-//! was. A flight that fails asks for BRAKE or HOLD until that is acknowledged. The link's round trip is
+//! itself or by an operator's hand, from its arming on, gets no more setpoints; its texts, its state, its height and
+//! its clock tell which of both it was. A flight that fails asks for BRAKE or HOLD until that is acknowledged. The link's round trip is
 //! measured by TIMESYNC; a link that is too slow is refused.
 //!
 //! | file | what it is |
@@ -22,12 +22,14 @@
 //! | `requests` | what it is asked for, and its answers |
 //! | `steps` | the steps, and what they wait for |
 //! | `setpoints` | what is sent in time |
-//! | `texts` | what the vehicle says |
+//! | `leaving` | who has ended the flight: an operator, the vehicle itself, a restart |
+//! | `words` | commands as people call them |
 
+mod leaving;
 mod requests;
 mod setpoints;
 mod steps;
-mod texts;
+mod words;
 
 pub use super::stack::ForeignStack;
 
@@ -39,12 +41,12 @@ use crpl_sitl::Scenario;
 use crpl_sitl::link::AUTOPILOT;
 use crpl_sitl::link::boot_time::BootTime;
 use crpl_sitl::link::decoder::Decoder;
-use crpl_sitl::link::dialect::{MavCmd, MavSeverity, PARAM_VALUE_DATA};
+use crpl_sitl::link::dialect::{MavCmd, PARAM_VALUE_DATA};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::service::Timesync;
 use crpl_sitl::link::messages::telemetry::{GlobalPositionInt, LocalPositionNed};
 use crpl_sitl::link::messages::{Target, View};
-use crpl_sitl::link::packet::Packet;
+use crpl_sitl::link::packet::{Packet, PacketRef};
 use crpl_sitl::radio::message::Percept;
 use crpl_sitl::vehicle::geodesy::{Home, Site};
 
@@ -56,19 +58,13 @@ use super::tracking::Tracker;
 use crate::flight::FlightEnd;
 use crate::tools::command::CommandQueue;
 use crate::tools::fleet::{self, Fleet, News};
-use texts::Texts;
+use crate::tools::texts::Texts;
+use leaving::Evidence;
 
 /// How long one step may take, in the vehicle's time.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// How long a vehicle that has left its mode is listened to: its texts may come behind its heartbeat.
-const REASONS: Duration = Duration::from_millis(1500);
-/// How old a text may be that tells why a mode was left.
-const TEXT_COUNTS: Duration = Duration::from_secs(5);
-/// The round trips that are kept, and how far apart they are measured.
-const TRIPS: usize = 3;
+/// How far apart round trips are measured.
 const TRIP_EVERY: Duration = Duration::from_millis(300);
-/// Texts of a vehicle that acts by itself.
-const FAILSAFES: [&str; 8] = ["failsafe", "crash", "fence", "battery", "glitch", "ekf", "gps", "disarming"];
 /// How far back the vehicle's clock goes only if it has started anew.
 const RESTART: Duration = Duration::from_secs(2);
 
@@ -91,6 +87,8 @@ pub enum GuideEvent {
     TakenOver(String),
     /// The vehicle has left its mode by itself, and why.
     Failsafe(String),
+    /// Its motors have stopped in the air, and why.
+    Crashed(String),
     /// It cannot go on, how that counts once it flies, and why.
     Failed(FlightEnd, String),
 }
@@ -167,8 +165,8 @@ pub struct Guide {
     last: WhenOver,
     /// Why it holds its place, if not because the flight is over.
     failing: Option<(FlightEnd, String)>,
-    /// Why it has left its mode, by its heartbeat.
-    left: String,
+    /// What tells by whom its mode was left, and why it does not answer.
+    evidence: Evidence,
     /// It flew when it was found.
     airborne: bool,
     /// A command to the newest percept has not come yet, and is late.
@@ -219,7 +217,7 @@ impl Guide {
             texts: Texts::default(),
             last: WhenOver::Hold,
             failing: None,
-            left: String::new(),
+            evidence: Evidence::default(),
             airborne: false,
             undecided: false,
             late: false,
@@ -255,6 +253,8 @@ impl Guide {
             }
             self.commands.packet(&packet, now);
             if Some(packet.system) == self.system {
+                self.watch_state(now);
+                self.evidence.signed |= PacketRef::from(&packet).signed();
                 self.packet(&packet, now);
             }
         }
@@ -268,37 +268,27 @@ impl Guide {
             let place = ReportedPlace { position, velocity, boot, at: now };
             let finite = place.position.iter().chain(&place.velocity).all(|v| v.is_finite());
             // What was overtaken on its way is older than what is known.
-            if finite && self.place.is_none_or(|known| boot >= known.boot || boot + RESTART < known.boot) {
+            let restarted = self.place.is_some_and(|known| boot + RESTART < known.boot);
+            if finite && (restarted || self.place.is_none_or(|known| boot >= known.boot)) {
                 self.place = Some(place);
+            }
+            if restarted && self.phase == GuidePhase::Left {
+                self.evidence.rebooted = true;
             }
         } else if let Some(limits) = self.limits.as_mut().filter(|_| packet.is::<PARAM_VALUE_DATA>()) {
             limits.packet(packet, now);
         } else if let Some(told) = GlobalPositionInt::of(packet).filter(|_| packet.component == AUTOPILOT) {
             self.site =
                 self.place.and_then(|place| site(&told, self.foreign.field.to_ned(horizontal(&place))));
-        } else if let Some((severity, text)) = self.texts.packet(packet) {
-            if severity <= MavSeverity::MAV_SEVERITY_WARNING as u8 {
-                self.complaint.clone_from(&text);
-                self.complained = now;
-            }
-            self.say(format!("vehicle: {text}"));
         } else if let Some(sync) = Timesync::of(packet).filter(|sync| sync.tc1 != 0) {
-            self.measured(sync.ts1, now);
+            // A companion of the same system may answer, too, by another clock.
+            if packet.component == AUTOPILOT {
+                self.measured(&sync, now);
+            }
+        } else {
+            let said = self.texts.packet(packet);
+            said.into_iter().for_each(|said| self.heard_text(said, now));
         }
-    }
-
-    /// A TIMESYNC has come back; `asked` is our own stamp, ns.
-    fn measured(&mut self, asked: i64, now: Duration) {
-        let Some(asked) = u64::try_from(asked).ok().map(Duration::from_nanos) else { return };
-        let Some(trip) = now.checked_sub(asked).filter(|trip| *trip < PATIENCE) else { return };
-        self.trips.push_back(trip.as_secs_f64() * self.foreign.speed);
-        self.trips.drain(..self.trips.len().saturating_sub(TRIPS));
-    }
-
-    /// The shortest of the last round trips, s of the vehicle's time, once there are enough.
-    #[must_use]
-    pub fn round_trip(&self) -> Option<f64> {
-        (self.trips.len() == TRIPS).then(|| self.trips.iter().copied().fold(f64::INFINITY, f64::min))
     }
 
     fn news(&mut self, news: News, now: Duration) {
@@ -329,75 +319,16 @@ impl Guide {
                     self.leave(news.to_string(), now);
                 }
             }
-            News::Armed(id, false)
-                if Some(id) == self.system
-                    && matches!(
-                        self.phase,
-                        GuidePhase::Climb | GuidePhase::Approach | GuidePhase::Flying
-                    ) =>
-            {
-                self.leave(news.to_string(), now);
+            News::Armed(id, false) if Some(id) == self.system => {
+                self.say(news.to_string());
+                self.disarmed(news.to_string(), now);
             }
             _ => self.say(news.to_string()),
         }
     }
 
-    /// Whether it has taken its mode from us and not left it.
-    fn has_control(&self) -> bool {
-        let phases = [GuidePhase::Arm, GuidePhase::Climb, GuidePhase::Approach, GuidePhase::Flying];
-        phases.contains(&self.phase)
-    }
-
-    /// It has left its mode: from now on it gets no setpoint. Its texts will tell why.
-    fn leave(&mut self, why: String, now: Duration) {
-        let complaint = (std::mem::take(&mut self.complaint), self.complained);
-        self.enter(GuidePhase::Left, now);
-        (self.complaint, self.complained) = complaint;
-        self.left = why;
-    }
-
-    /// By whom its mode was left.
-    fn judge(&mut self, now: Duration) {
-        let lower = self.complaint.to_lowercase();
-        let counts = now.saturating_sub(self.complained) < TEXT_COUNTS + REASONS;
-        if counts && FAILSAFES.iter().any(|word| lower.contains(word)) {
-            self.phase = GuidePhase::Done;
-            let why = format!("{}; it says: {}", self.left, self.complaint);
-            self.events.push_back(GuideEvent::Failsafe(why));
-        } else {
-            let why = std::mem::take(&mut self.left);
-            self.taken_over(&why);
-        }
-    }
-
-    /// The flight ends so, once the vehicle holds its place or does not answer.
-    fn fail_held(&mut self, how: FlightEnd, why: String, now: Duration) {
-        if self.has_control() {
-            self.say(format!("{why}: it is asked to hold its place"));
-            self.enter(GuidePhase::Braking, now);
-            self.failing = Some((how, why));
-        } else {
-            self.fail(how, why);
-        }
-    }
-
-    /// Somebody else flies from now on.
-    pub fn taken_over(&mut self, why: &str) {
-        if self.phase != GuidePhase::Done {
-            self.phase = GuidePhase::Done;
-            self.events.push_back(GuideEvent::TakenOver(why.into()));
-        }
-    }
-
     fn say(&mut self, text: String) {
         self.events.push_back(GuideEvent::Say(text));
-    }
-
-    fn fail(&mut self, how: FlightEnd, why: String) {
-        if self.phase != GuidePhase::Done {
-            self.phase = GuidePhase::Done;
-            self.events.push_back(GuideEvent::Failed(how, why));
-        }
     }
 
     fn enter(&mut self, phase: GuidePhase, now: Duration) {

@@ -11,7 +11,7 @@ use crpl_sitl::link::dialect::{
 use crpl_sitl::link::messages::Target;
 use crpl_sitl::link::messages::service::RequestDataStream;
 
-use super::texts::words;
+use super::words::words;
 use super::{Guide, GuideEvent, GuidePhase};
 use crate::tools::command::{CommandRequest, CommandResult};
 

@@ -7,7 +7,8 @@ use crpl_sitl::link::dialect::MavCmd;
 use super::super::FlightPlan;
 use super::super::limits::{LimitReader, VehicleLimits};
 use super::super::scene::ForeignScene;
-use super::{ForeignStack, Guide, GuideEvent, GuidePhase, PATIENCE, REASONS, RESTART, ReportedPlace};
+use super::leaving::REASONS;
+use super::{ForeignStack, Guide, GuideEvent, GuidePhase, PATIENCE, RESTART, ReportedPlace};
 use crate::flight::FlightEnd;
 
 /// Setpoints before OFFBOARD: PX4 wants more than a second of them.
@@ -116,8 +117,8 @@ impl Guide {
             return self.fail(how, format!("{why}; it did not answer when it was asked to hold its place"));
         }
         let what = self.obstacle();
-        let complaint = self.complaint_text();
-        let why = format!("{what}, {} s long{complaint}", PATIENCE.as_secs());
+        let (complaint, hint) = (self.complaint_text(), self.signature_hint());
+        let why = format!("{what}, {} s long{complaint}{hint}", PATIENCE.as_secs());
         self.fail_held(FlightEnd::LinkLost, why, now);
     }
 
@@ -155,7 +156,8 @@ impl Guide {
         );
         if waits && now.saturating_sub(self.since.max(self.told)) >= TOLD_AGAIN {
             self.told = now;
-            self.say(format!("still waiting: {}{}", self.obstacle(), self.complaint_text()));
+            let (complaint, hint) = (self.complaint_text(), self.signature_hint());
+            self.say(format!("still waiting: {}{complaint}{hint}", self.obstacle()));
         }
     }
 

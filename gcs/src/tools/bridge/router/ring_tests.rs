@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crpl_sitl::link::dialect::MavCmd;
 
+use super::history::MAX_SOURCES;
 use super::tests::{Sender, out, send};
 use super::*;
 

@@ -1,5 +1,5 @@
 use crpl_sitl::link::dialect::{self, MavCmd};
-use crpl_sitl::link::encoder::Encoder;
+use crpl_sitl::link::encoder::{DATAGRAM, Encoder};
 use proptest::prelude::*;
 
 use super::*;
@@ -368,4 +368,25 @@ proptest! {
             true
         });
     }
+}
+
+/// Report G13: a broadcast that the system refused was told as "sent 20".
+#[test]
+fn what_could_not_be_sent_counts_as_no_frame_sent() {
+    let (mut router, [vehicle, other, station, watcher]) = routed();
+    let before = [other, station, watcher].map(|id| router.counters(id).unwrap().sent_frames);
+    let mut sender = Sender::new(1, 1);
+    sender.heartbeat();
+    router.receive(vehicle, &sender.heartbeat(), NOW, |_| {});
+    router.flush(|id, _| id != other);
+    let after = [other, station, watcher].map(|id| router.counters(id).unwrap());
+    assert_eq!(after.map(|c| c.send_errors), [1, 0, 0]);
+    assert_eq!(after.map(|c| c.sent_frames), [before[0], before[1] + 1, before[2] + 1]);
+    // Told later, by a socket that had taken it.
+    router.receive(vehicle, &sender.attitude(), NOW, |_| {});
+    router.flush(|_, _| true);
+    let sent = router.counters(station).unwrap().sent_frames;
+    router.not_sent(station, &sender.attitude());
+    let counters = router.counters(station).unwrap();
+    assert_eq!((counters.sent_frames, counters.send_errors), (sent - 1, 1));
 }

@@ -12,22 +12,23 @@
 //! | everything ignored, or one axis | stops | refused with a text; holds |
 //! | not a number | poisons the controller for good | treated as absent |
 //! | silence | 3 s, then brakes | 1 s, then RTL |
+//! | texts of more than 50 bytes | several STATUSTEXT with one id | the same |
+//! | attitude, battery, GPS | when asked for | when asked for |
+//! | a restart | STABILIZE, disarmed, no stream, its clock at 0 | Hold, disarmed, its clock at 0 |
+//! | without GPS | no LOCAL_POSITION_NED; GUIDED is refused | the same |
 //!
 //! A state machine: time is an argument. [`Served`] puts it on a socket.
 
-use std::collections::VecDeque;
-use std::io::{ErrorKind, Read, Write};
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+mod served;
 
-use anyhow::{Context, Result};
+use std::collections::{BTreeMap, VecDeque};
+
+use crpl_sitl::link::MessageData;
 use crpl_sitl::link::decoder::Decoder;
 use crpl_sitl::link::dialect::{
-    GLOBAL_POSITION_INT_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult,
-    MavSeverity, MavState, MavType, STATUSTEXT_DATA,
+    ATTITUDE_DATA, BATTERY_STATUS_DATA, GLOBAL_POSITION_INT_DATA, GPS_RAW_INT_DATA, HEARTBEAT_DATA,
+    LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag, MavResult, MavSeverity, MavState, MavType,
+    STATUSTEXT_DATA, SYS_STATUS_DATA,
 };
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::messages::View;
@@ -38,6 +39,7 @@ use crpl_sitl::link::messages::setpoint::SetPositionTargetLocalNed;
 use crpl_sitl::vehicle::geodesy::Site;
 
 use crate::fake_params::FakeParams;
+pub use served::Served;
 
 /// Whom it copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -119,6 +121,16 @@ pub struct Autopilot {
     pub clock_ahead_ms: u32,
     /// Its parameters.
     pub params: FakeParams,
+    /// When it was started last, on its own clock.
+    booted: f64,
+    /// Its heartbeats say that it is in distress.
+    pub distress: bool,
+    /// It does not know where it is.
+    pub blind: bool,
+    /// Other messages that it was asked for: every so many seconds, and when next.
+    pub logged: BTreeMap<u32, (f64, f64)>,
+    /// Of its long texts.
+    texts: u16,
 }
 
 impl Autopilot {
@@ -157,6 +169,11 @@ impl Autopilot {
             deaf_to_modes: 0,
             clock_ahead_ms: 0,
             params: if px4 { FakeParams::px4() } else { FakeParams::ardupilot() },
+            booted: 0.0,
+            distress: false,
+            blind: false,
+            logged: BTreeMap::new(),
+            texts: 0,
         }
     }
 
@@ -192,6 +209,22 @@ impl Autopilot {
     /// Motors off.
     pub fn disarm(&mut self) {
         self.armed = false;
+    }
+
+    /// Starts anew, on the ground: what it was asked for is forgotten.
+    pub fn restart(&mut self) {
+        (self.booted, self.armed, self.wish, self.setpoint) = (self.time, false, Wish::Ground, None);
+        (self.position[2], self.velocity, self.accel) = (0.0, [0.0; 3], [0.0; 3]);
+        self.logged.clear();
+        self.mode = if self.stack == Stack::Px4 { PX4_HOLD } else { 0 };
+        if self.stack == Stack::ArduPilot {
+            self.stream_period = None;
+        }
+    }
+
+    /// Since it was started, s.
+    fn up(&self) -> f64 {
+        self.time - self.booted
     }
 
     /// When something that is sent now arrives.
@@ -343,12 +376,13 @@ impl Autopilot {
             self.next_beat = self.time + 1.0;
             self.beat();
         }
-        let Some(period) = self.stream_period else { return };
+        self.report_logged();
+        let Some(period) = self.stream_period.filter(|_| !self.blind) else { return };
         if self.time >= self.next_report {
             self.next_report = self.time + period;
             let [x, y, z] = self.position.map(|v| v as f32);
             let [vx, vy, vz] = self.velocity.map(|v| v as f32);
-            let time_boot_ms = self.clock_ahead_ms.wrapping_add((self.time * 1e3) as u32);
+            let time_boot_ms = self.clock_ahead_ms.wrapping_add((self.up() * 1e3) as u32);
             let message = LOCAL_POSITION_NED_DATA { time_boot_ms, x, y, z, vx, vy, vz };
             self.encoder.push(&mut self.out, &message);
             let [lat, lon] = Site::default().latitude_longitude([x, y]);
@@ -356,6 +390,29 @@ impl Autopilot {
             let message =
                 GLOBAL_POSITION_INT_DATA { time_boot_ms, lat, lon, relative_alt, ..Default::default() };
             self.encoder.push(&mut self.out, &message);
+        }
+    }
+
+    /// What a log wants, as far as it was asked for.
+    fn report_logged(&mut self) {
+        let (now, up) = (self.time, self.up());
+        let due: Vec<u32> =
+            self.logged.iter().filter(|(_, (_, next))| *next <= now).map(|(&id, _)| id).collect();
+        for id in due {
+            if let Some((every, next)) = self.logged.get_mut(&id) {
+                *next = now + *every;
+            }
+            let (encoder, out) = (&mut self.encoder, &mut self.out);
+            match id {
+                ATTITUDE_DATA::ID => {
+                    encoder
+                        .push(out, &ATTITUDE_DATA { time_boot_ms: (up * 1e3) as u32, ..Default::default() });
+                }
+                GPS_RAW_INT_DATA::ID => encoder.push(out, &GPS_RAW_INT_DATA::default()),
+                SYS_STATUS_DATA::ID => encoder.push(out, &SYS_STATUS_DATA::default()),
+                BATTERY_STATUS_DATA::ID => encoder.push(out, &BATTERY_STATUS_DATA::default()),
+                _ => {}
+            }
         }
     }
 
@@ -372,7 +429,11 @@ impl Autopilot {
                 MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA
             },
             base_mode,
-            system_status: if self.armed { MavState::MAV_STATE_ACTIVE } else { MavState::MAV_STATE_STANDBY },
+            system_status: match (self.distress, self.armed) {
+                (true, _) => MavState::MAV_STATE_CRITICAL,
+                (false, true) => MavState::MAV_STATE_ACTIVE,
+                (false, false) => MavState::MAV_STATE_STANDBY,
+            },
             mavlink_version: 3,
         };
         self.encoder.push(&mut self.out, &message);
@@ -383,8 +444,19 @@ impl Autopilot {
     }
 
     fn say(&mut self, severity: MavSeverity, text: &str) {
-        let message = STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
-        self.encoder.push(&mut self.out, &message);
+        const LENGTH: usize = 50;
+        if text.len() <= LENGTH {
+            let message = STATUSTEXT_DATA { severity, text: text.into(), ..Default::default() };
+            return self.encoder.push(&mut self.out, &message);
+        }
+        self.texts += 1;
+        // A text that fills its last part ends with an empty one.
+        for part in 0..=text.len() / LENGTH {
+            let end = text.len().min((part + 1) * LENGTH);
+            let text = text.get(part * LENGTH..end).unwrap_or_default().into();
+            let message = STATUSTEXT_DATA { severity, text, id: self.texts, chunk_seq: part as u8 };
+            self.encoder.push(&mut self.out, &message);
+        }
     }
 
     /// A datagram has been sent to it.
@@ -410,7 +482,7 @@ impl Autopilot {
                 self.params.set(&asked, &mut self.encoder, &mut self.out);
             } else if let Some(sync) = Timesync::of(&packet).filter(|sync| sync.tc1 == 0) {
                 let target = (packet.system, packet.component).into();
-                let answer = Timesync { tc1: (self.time * 1e9) as i64 + 1, ts1: sync.ts1, target };
+                let answer = Timesync { tc1: (self.up() * 1e9) as i64 + 1, ts1: sync.ts1, target };
                 self.encoder.push_view(&mut self.out, &answer);
             }
         }
@@ -438,6 +510,11 @@ impl Autopilot {
                 self.stream_period = Some(f64::from(params[1]) / 1e6);
                 MavResult::MAV_RESULT_ACCEPTED
             }
+            511 => {
+                let every = f64::from(params[1]) / 1e6;
+                self.logged.insert(params[0] as u32, (every, self.time));
+                MavResult::MAV_RESULT_ACCEPTED
+            }
             _ => MavResult::MAV_RESULT_UNSUPPORTED,
         };
         self.encoder.push_ack(&mut self.out, command, result, asker);
@@ -449,7 +526,14 @@ impl Autopilot {
             return MavResult::MAV_RESULT_DENIED;
         }
         match self.stack {
-            Stack::ArduPilot if self.time < CHECKS / 2.0 => MavResult::MAV_RESULT_FAILED,
+            Stack::ArduPilot if self.up() < CHECKS / 2.0 => MavResult::MAV_RESULT_FAILED,
+            Stack::ArduPilot if self.blind && main == GUIDED => {
+                self.say(
+                    MavSeverity::MAV_SEVERITY_WARNING,
+                    "Mode change to GUIDED failed: requires position",
+                );
+                MavResult::MAV_RESULT_FAILED
+            }
             Stack::ArduPilot => {
                 self.mode = main;
                 if self.armed && self.position[2] < -0.5 {
@@ -479,7 +563,7 @@ impl Autopilot {
         if !arm && flying {
             return MavResult::MAV_RESULT_FAILED;
         }
-        if arm && self.stack == Stack::ArduPilot && self.time < CHECKS {
+        if arm && self.stack == Stack::ArduPilot && self.up() < CHECKS {
             self.say(MavSeverity::MAV_SEVERITY_CRITICAL, "Arm: Accels calibrating");
             return MavResult::MAV_RESULT_FAILED;
         }
@@ -530,138 +614,5 @@ impl Autopilot {
         } else {
             Wish::Stop
         };
-    }
-}
-
-/// An autopilot on a socket of its own, in real time or faster; dropping it ends it.
-#[derive(Debug)]
-pub struct Served {
-    address: SocketAddr,
-    autopilot: Arc<Mutex<Autopilot>>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Served {
-    /// ArduCopter waits for a station on TCP, as its simulator does; PX4 speaks on UDP.
-    ///
-    /// # Errors
-    /// No socket can be opened.
-    pub fn start(autopilot: Autopilot, factor: f64) -> Result<Self> {
-        let stack = autopilot.stack;
-        let autopilot = Arc::new(Mutex::new(autopilot));
-        let stop = Arc::new(AtomicBool::new(false));
-        let (shared, ended) = (Arc::clone(&autopilot), Arc::clone(&stop));
-        let (address, thread) = if stack == Stack::Px4 {
-            let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).context("binding the autopilot")?;
-            socket.set_nonblocking(true)?;
-            let address = socket.local_addr()?;
-            (address, std::thread::spawn(move || serve_udp(&socket, &shared, &ended, factor)))
-        } else {
-            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).context("binding the autopilot")?;
-            let address = listener.local_addr()?;
-            (address, std::thread::spawn(move || serve_tcp(&listener, &shared, &ended, factor)))
-        };
-        Ok(Self { address, autopilot, stop, thread: Some(thread) })
-    }
-
-    /// The endpoint at which a station finds it.
-    #[must_use]
-    pub fn endpoint(&self, stack: Stack) -> String {
-        let scheme = if stack == Stack::Px4 { "udpout" } else { "tcpout" };
-        format!("{scheme}:{}", self.address)
-    }
-
-    /// Looks at the autopilot, or changes it.
-    pub fn with<T>(&self, look: impl FnOnce(&mut Autopilot) -> T) -> T {
-        look(&mut self.autopilot.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        // A listener waits for a connection to look up.
-        let _ = std::net::TcpStream::connect(self.address);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-const PULSE: Duration = Duration::from_millis(2);
-/// Longest step of a vehicle's clock, and how far it runs on after a setpoint, s. Simulators slow down
-/// on a busy machine, too; what a lost station does to a vehicle is told without a wall clock.
-const LONGEST_STEP: f64 = 0.1;
-const AFTER_SETPOINT: f64 = 0.2;
-
-/// The clock of a served vehicle.
-struct Pace {
-    factor: f64,
-    last: Instant,
-    /// The vehicle's time, s.
-    time: f64,
-}
-
-impl Pace {
-    fn new(factor: f64) -> Self {
-        Self { factor, last: Instant::now(), time: 0.0 }
-    }
-
-    /// Goes on by the wall's time since the last call; what the vehicle sends meanwhile.
-    fn advance(&mut self, autopilot: &mut Autopilot) -> Vec<u8> {
-        let passed = self.last.elapsed().as_secs_f64() * self.factor;
-        self.last = Instant::now();
-        // A vehicle that somebody else flies waits for nobody.
-        let waits = match autopilot.setpoint {
-            Some((newest, _)) if autopilot.controlled() || autopilot.stack == Stack::Px4 => {
-                newest + AFTER_SETPOINT
-            }
-            _ => f64::INFINITY,
-        };
-        self.time = (self.time + passed.min(LONGEST_STEP)).min(waits.max(autopilot.time));
-        autopilot.advance(self.time, self.factor)
-    }
-}
-
-fn serve_udp(socket: &UdpSocket, shared: &Mutex<Autopilot>, stop: &AtomicBool, factor: f64) {
-    let (mut pace, mut buffer, mut peer) = (Pace::new(factor), vec![0; 65_536], None);
-    while !stop.load(Ordering::Relaxed) {
-        let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Ok((length, from)) = socket.recv_from(&mut buffer) {
-            peer = Some(from);
-            autopilot.datagram(&buffer[..length]);
-        }
-        let out = pace.advance(&mut autopilot);
-        drop(autopilot);
-        for part in out.chunks(1400) {
-            // Frames may be cut between datagrams; stations join them.
-            let _ = peer.map(|peer| socket.send_to(part, peer));
-        }
-        std::thread::sleep(PULSE);
-    }
-}
-
-fn serve_tcp(listener: &TcpListener, shared: &Mutex<Autopilot>, stop: &AtomicBool, factor: f64) {
-    let Ok((mut stream, _)) = listener.accept() else { return };
-    let _ = stream.set_nodelay(true);
-    if stream.set_read_timeout(Some(PULSE)).is_err() {
-        return;
-    }
-    let (mut pace, mut buffer) = (Pace::new(factor), vec![0; 65_536]);
-    while !stop.load(Ordering::Relaxed) {
-        let read = match stream.read(&mut buffer) {
-            Ok(0) => return,
-            Ok(length) => length,
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
-            Err(_) => return,
-        };
-        let mut autopilot = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        autopilot.datagram(&buffer[..read]);
-        let out = pace.advance(&mut autopilot);
-        drop(autopilot);
-        if stream.write_all(&out).is_err() {
-            return;
-        }
     }
 }

@@ -3,6 +3,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking, its helpers too")]
 
+mod endings;
+
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
@@ -245,28 +247,6 @@ fn a_clock_that_is_set_in_flight_ends_it() {
     });
     let GuideEvent::Failed(FlightEnd::Rebooted, why) = &story.end else { panic!("{:?}", story.end) };
     assert!(why.contains("clock was set"), "{why}");
-}
-
-/// Report A10: failsafes and crashes were "the operator has taken over".
-#[test]
-fn a_failsafe_and_a_crash_are_not_the_operator_s_doing() {
-    for (text, mode) in
-        [("Battery Failsafe", Some(6)), ("Fence Breached", Some(17)), ("Crash: Disarming", None)]
-    {
-        let mut done = false;
-        let story = story((Stack::ArduPilot, guide::ForeignStack::Ardupilot), |_, autopilot, _| {
-            if !done && autopilot.accelerations > 100 {
-                done = true;
-                match mode {
-                    Some(mode) => autopilot.set_mode(mode),
-                    None => autopilot.disarm(),
-                }
-                autopilot.shout(text);
-            }
-        });
-        let GuideEvent::Failsafe(why) = &story.end else { panic!("{text}: {:?}", story.end) };
-        assert!(why.contains(text), "{why}");
-    }
 }
 
 /// Report A7: a slow controller left the vehicle without a setpoint for 3 s, at 8.8 m/s.

@@ -1,0 +1,62 @@
+//! Bytes on their way out of a link, and where its datagrams end.
+
+use crpl_sitl::link::encoder::DATAGRAM;
+
+use super::link::Link;
+use super::{LinkId, Router};
+
+/// Bytes on their way out.
+#[derive(Debug, Default)]
+pub struct Outbox {
+    pub bytes: Vec<u8>,
+    /// Where datagrams end, but for the last: after how many bytes and frames.
+    pub ends: Vec<(usize, u64)>,
+    /// The datagram being routed, and where its frames begin: after how many bytes and frames.
+    pub group: (u64, usize, u64),
+    pub frames: u64,
+}
+
+impl Outbox {
+    pub fn push(&mut self, frame: &[u8], group: u64) {
+        let begin = self.ends.last().map_or(0, |end| end.0);
+        if self.group.0 != group {
+            self.group = (group, self.bytes.len(), self.frames);
+        }
+        let all = (self.bytes.len(), self.frames);
+        if all.0 - begin + frame.len() > DATAGRAM && all.0 > begin {
+            // Moves the whole group into the next datagram, if it is not this datagram already.
+            let end = if self.group.1 > begin { (self.group.1, self.group.2) } else { all };
+            self.ends.push(end);
+            // The group may be too long for a datagram of its own.
+            if all.0 - end.0 + frame.len() > DATAGRAM && all.0 > end.0 {
+                self.ends.push(all);
+            }
+        }
+        self.bytes.extend_from_slice(frame);
+        self.frames += 1;
+    }
+}
+
+impl Router {
+    /// Hands out everything that is to be sent: datagrams that fit a network's packets. `send` gives whether
+    /// it was sent; only then it counts so.
+    pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8]) -> bool) {
+        for (&id, Link { out, counters, .. }) in &mut self.links {
+            let mut begin = (0, 0);
+            for end in out.ends.drain(..).chain([(out.bytes.len(), out.frames)]) {
+                if end.0 == begin.0 {
+                    continue;
+                }
+                if send(id, &out.bytes[begin.0..end.0]) {
+                    counters.sent_frames += end.1 - begin.1;
+                    counters.sent_bytes += (end.0 - begin.0) as u64;
+                } else {
+                    counters.send_errors += 1;
+                }
+                begin = end;
+            }
+            out.bytes.clear();
+            out.frames = 0;
+        }
+    }
+}
