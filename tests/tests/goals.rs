@@ -1,9 +1,12 @@
 //! What a new user wants first, by README's own commands, from an empty folder: at most three for each.
+//!
+//! With `GOALS_ROOT=DIR` they run on another machine's file system, by chroot: DIR has the .deb installed, bash and
+//! python3, and nothing else is needed (`packaging/check`).
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use tests::program::{self, Program, workspace};
@@ -38,12 +41,25 @@ fn start(word: &str, dir: &Path) -> Program {
     let text = format!("{alone}{}", commands.join("\n"))
         .replace("14550", &free_port())
         .replace("14551", &free_port());
-    let mut shell = Command::new("bash");
-    shell.args(["-euo", "pipefail", "-c"]);
-    shell.arg(format!("trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{text}"));
-    let programs = program::path("gcs").unwrap();
-    let path = format!("{}:{}", programs.parent().unwrap().display(), std::env::var("PATH").unwrap());
-    shell.current_dir(dir).env("PATH", path).env("HOME", dir);
+    let text = format!("trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{text}");
+    let mut shell = match root() {
+        Some(root) => {
+            let home = Path::new("/").join(dir.strip_prefix(&root).unwrap());
+            let mut shell = Command::new("chroot");
+            shell.arg(root).args(["/usr/bin/env", "-i", "-C"]).arg(&home);
+            shell.arg(format!("HOME={}", home.display())).args(["PATH=/usr/bin:/bin", "bash"]);
+            shell
+        }
+        None => {
+            let programs = program::path("gcs").unwrap();
+            let path = std::env::var("PATH").unwrap();
+            let mut shell = Command::new("bash");
+            shell.env("PATH", format!("{}:{path}", programs.parent().unwrap().display()));
+            shell.current_dir(dir).env("HOME", dir);
+            shell
+        }
+    };
+    shell.args(["-euo", "pipefail", "-c", &text]);
     Program::spawn(word, shell).unwrap()
 }
 
@@ -51,10 +67,18 @@ fn run(word: &str, dir: &Path) -> String {
     start(word, dir).wait().unwrap().good().unwrap()
 }
 
+/// The root of the file system that has the installed packages, if it is not this machine's.
+fn root() -> Option<PathBuf> {
+    std::env::var_os("GOALS_ROOT").map(PathBuf::from)
+}
+
 /// An empty folder, but for the examples.
 fn empty() -> tempfile::TempDir {
-    let dir = tempfile::tempdir().unwrap();
-    std::os::unix::fs::symlink(workspace().join("examples"), dir.path().join("examples")).unwrap();
+    let (dir, examples) = match root() {
+        Some(root) => (tempfile::tempdir_in(root.join("tmp")).unwrap(), "/usr/share/doc/crpl/examples".into()),
+        None => (tempfile::tempdir().unwrap(), workspace().join("examples")),
+    };
+    std::os::unix::fs::symlink(examples, dir.path().join("examples")).unwrap();
     dir
 }
 

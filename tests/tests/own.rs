@@ -217,24 +217,42 @@ fn a_scene_of_ones_own_is_begun_checked_drawn_and_changed() {
     assert!(sweep.stderr.contains("this is a sweep"), "{}", sweep.stderr);
 }
 
-#[test]
-fn a_station_that_speaks_mavlink_is_scored_as_the_controller_that_it_is() {
+/// Flights of `gcs fly` on a `mavlink:` controller's endpoint, one process after the other: to the lab each is
+/// somebody's own station. The rows are those of `rcc` in process, and those of the stations.
+fn flown_by_stations(flights: u8) -> Vec<Value> {
     let dir = tempfile::tempdir().unwrap();
     let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = free.local_addr().unwrap().port();
     drop(free);
     let own = format!("mavlink:udpin:127.0.0.1:{port}");
-    let who = format!("rcc,{own}");
-    let flags = ["episodes", "--controller", &who, "--episodes", "1", "--first-seed", "3", "--json"];
+    let (who, many) = (format!("rcc,{own}"), flights.to_string());
+    let flags = ["episodes", "--controller", &who, "--episodes", &many, "--first-seed", "3", "--json"];
     let scored = Program::start("gcs", &flags, None).unwrap();
-    // The station is this project's own; to the lab it is somebody's.
-    let (connect, out) = (format!("udpout:127.0.0.1:{port}"), dir.path().join("flown"));
-    let fly = ["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()];
-    gcs(&fly).good().unwrap();
+    let connect = format!("udpout:127.0.0.1:{port}");
+    for flight in 0..flights {
+        let out = dir.path().join(flight.to_string());
+        gcs(&["fly", "--connect", &connect, "--controller", "rcc", "--out", out.to_str().unwrap()])
+            .good()
+            .unwrap();
+    }
     let rows = rows(scored.wait().unwrap());
     assert_eq!((&rows[0]["controller"], &rows[1]["controller"]), (&"rcc".into(), &own.as_str().into()));
+    rows
+}
+
+fn are_the_same_flights(rows: &[Value]) {
     for metric in ["d_f", "e_comm", "t_out", "j", "p_coll_max"] {
         assert!(rows[0][metric]["mean"].is_f64(), "{metric}: {}", rows[0]);
         assert_eq!(rows[0][metric], rows[1][metric], "{metric}");
     }
+}
+
+#[test]
+fn a_station_that_speaks_mavlink_is_scored_as_the_controller_that_it_is() {
+    are_the_same_flights(&flown_by_stations(1));
+}
+
+#[test]
+fn the_last_words_of_a_station_do_not_fly_the_next_flight() {
+    are_the_same_flights(&flown_by_stations(2));
 }

@@ -159,28 +159,14 @@ impl WorldModel {
         fill(py, &out, &ahead)
     }
 
-    /// Predicted collision probability, float32 [N], of y_c and y_u float32 [N, 2], in a scenario.
-    fn risk(
-        &self,
-        py: Python<'_>,
-        y_c: PyBuffer<f32>,
-        y_u: PyBuffer<f32>,
-        scenario: &str,
-        out: PyBuffer<f32>,
-    ) -> PyResult<()> {
+    /// Predicted collision probability, float32 [N], of y_c and y_u float32 [N, 2, 2], in a scenario.
+    fn risk(&self, py: Python<'_>, y: PyBuffer<f32>, scenario: &str, out: PyBuffer<f32>) -> PyResult<()> {
         let heads = self.model.station_heads(&scenario_of(scenario)?);
-        head(py, &y_c, &y_u, &out, |c, u| heads.collision(c, u))
+        head(py, &y, &out, |c, u| heads.collision(c, u))
     }
 
-    /// Predicted channel gain |h|², float32 [N], of y_c and y_u float32 [N, 2], in a scenario.
-    fn gain(
-        &self,
-        py: Python<'_>,
-        y_c: PyBuffer<f32>,
-        y_u: PyBuffer<f32>,
-        scenario: &str,
-        out: PyBuffer<f32>,
-    ) -> PyResult<()> {
+    /// Predicted channel gain |h|², float32 [N], of y_c and y_u float32 [N, 2, 2], in a scenario.
+    fn gain(&self, py: Python<'_>, y: PyBuffer<f32>, scenario: &str, out: PyBuffer<f32>) -> PyResult<()> {
         let scenario = scenario_of(scenario)?;
         let untrained = StationHeads::untrained(&scenario);
         if !untrained.is_empty() {
@@ -190,7 +176,7 @@ impl WorldModel {
             ));
         }
         let heads = self.model.station_heads(&scenario);
-        head(py, &y_c, &y_u, &out, |c, u| heads.log_gain(c, u).exp())
+        head(py, &y, &out, |c, u| heads.log_gain(c, u).exp())
     }
 
     /// CRPL's policies for a scenario: the built-in ones that cover it, or those of a file.
@@ -215,17 +201,15 @@ impl WorldModel {
     }
 }
 
+/// `of` each row of y.
 fn head(
     py: Python<'_>,
-    y_c: &PyBuffer<f32>,
-    y_u: &PyBuffer<f32>,
+    y: &PyBuffer<f32>,
     out: &PyBuffer<f32>,
     of: impl Fn([f32; 2], [f32; 2]) -> f32,
 ) -> PyResult<()> {
-    let (c, n) = rows(py, "y_c", y_c, &[2])?;
-    let u = rows_of(py, "y_u", y_u, n, &[2])?;
-    let values: Vec<f32> =
-        c.chunks_exact(2).zip(u.chunks_exact(2)).map(|(c, u)| of(pair(c), pair(u))).collect();
+    let (y, _) = rows(py, "y", y, &[2, 2])?;
+    let values: Vec<f32> = y.chunks_exact(4).map(|row| of(pair(&row[..2]), pair(&row[2..]))).collect();
     fill(py, out, &values)
 }
 

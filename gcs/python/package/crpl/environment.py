@@ -15,6 +15,7 @@ from .scenarios import Scenario, scenario, source
 from .world import WorldModel
 
 Obs = Literal["state", "latent", "image"]
+Actions = Literal["continuous", "discrete"]
 Observation = NDArray[Any]
 Action = NDArray[Any]
 
@@ -106,7 +107,7 @@ class Flight(gymnasium.Env[Observation, Action]):
         of: Scenario = "demo",
         obs: Obs = "state",
         *,
-        actions: Literal["continuous", "discrete"] = "continuous",
+        actions: Actions = "continuous",
         world: WorldModel | str = "learned",
         render_mode: str | None = None,
     ) -> None:
@@ -172,7 +173,7 @@ class FlightVector(gymnasium.vector.VectorEnv[Observation, Action, NDArray[Any]]
         num_envs: int = 1,
         obs: Obs = "state",
         *,
-        actions: Literal["continuous", "discrete"] = "continuous",
+        actions: Actions = "continuous",
         world: WorldModel | str = "learned",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,

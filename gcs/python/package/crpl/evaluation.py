@@ -3,14 +3,14 @@
 import copy
 import os
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from . import _crpl
-from .environment import FlightVector, Obs
+from .environment import Actions, FlightVector, Obs
 from .scenarios import Scenario, scenario, source
 from .world import WorldModel
 
@@ -53,7 +53,7 @@ def score(
     seeds: Iterable[int] = range(100),
     *,
     obs: Obs = "state",
-    actions: Literal["continuous", "discrete"] = "continuous",
+    actions: Actions = "continuous",
     batched: bool | None = None,
     world: WorldModel | str = "learned",
     name: str = "policy",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from . import _crpl
-from .environment import Action, Obs, Observation, _executed, _model, _spaces
+from .environment import Action, Actions, Obs, Observation, _executed, _model, _spaces
 from .scenarios import Scenario, scenario, source
 from .world import WorldModel
 
@@ -30,7 +30,7 @@ class FleetFlight(ParallelEnv[str, Observation, Action]):
         vehicles: int = 4,
         obs: Obs = "state",
         *,
-        actions: Literal["continuous", "discrete"] = "continuous",
+        actions: Actions = "continuous",
         scheduler: Scheduler = "tdma",
         bandwidth: float | None = None,
         headway: int = 10,

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from . import _crpl
-from .environment import _Batch, _executed
+from .environment import Actions, _Batch, _executed
 from .evaluation import _decider
 from .scenarios import Scenario, scenario, source
 
@@ -26,7 +26,7 @@ def record_dataset(
     pictures: int = 102,
     seed: int = 0,
     policy: Any = None,
-    actions: Literal["continuous", "discrete"] = "continuous",
+    actions: Actions = "continuous",
     format: Literal["safetensors", "png"] = "safetensors",
     overwrite: bool = False,
     resume: bool = False,

@@ -1,6 +1,7 @@
 """The world model on numpy arrays: encoder, observer, predictor, heads and policies."""
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,14 @@ def _numbers(values: ArrayLike) -> Numbers:
 
 def _doubles(values: ArrayLike) -> Doubles:
     return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _of_rows(head: Callable[[Numbers, str, Numbers], None], y: ArrayLike, of: Scenario) -> Numbers:
+    """What a head says [N] of y [N, 2, 2] in a scenario."""
+    numbers = _numbers(y)
+    out = np.empty(len(numbers), np.float32)
+    head(numbers, source(of), out)
+    return out
 
 
 class WorldModel:
@@ -86,17 +95,11 @@ class WorldModel:
 
     def risk(self, y: ArrayLike, of: Scenario = "demo") -> Numbers:
         """Predicted collision probability [N] of y [N, 2, 2]."""
-        halves = _numbers(y)
-        out = np.empty(len(halves), np.float32)
-        self.compiled.risk(halves[:, 0], halves[:, 1], source(of), out)
-        return out
+        return _of_rows(self.compiled.risk, y, of)
 
     def gain(self, y: ArrayLike, of: Scenario = "demo") -> Numbers:
         """Predicted channel gain |h|² [N] of y [N, 2, 2]."""
-        halves = _numbers(y)
-        out = np.empty(len(halves), np.float32)
-        self.compiled.gain(halves[:, 0], halves[:, 1], source(of), out)
-        return out
+        return _of_rows(self.compiled.gain, y, of)
 
     def policy(
         self, of: Scenario = "demo", file: str | os.PathLike[str] | None = None, *, any_world: bool = False
