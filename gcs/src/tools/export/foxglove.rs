@@ -1,4 +1,4 @@
-//! A flight as an MCAP log, which Foxglove and Rerun open: places as `foxglove.LocationFix`, poses in the local frame
+//! A flight as an MCAP log, which Foxglove opens: places as `foxglove.LocationFix`, poses in the local frame
 //! as `foxglove.PoseInFrame` (x east, y north, z up), and the records as they are; messages are JSON.
 
 use anyhow::Result;

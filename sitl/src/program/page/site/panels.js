@@ -145,6 +145,14 @@ class Panels {
     return belief;
   }
 
+  /** Turns the picture by `angle`, degrees clockwise, inside the box that it has. */
+  turnPicture(angle) {
+    const [cos, sin] = [Math.cos, Math.sin].map((of) => Math.abs(of((angle * Math.PI) / 180)));
+    this.find("#picture").style.rotate = `${angle}deg`;
+    this.find("#picture").style.scale = String(1 / (cos + sin));
+    this.pictureKey = undefined;
+  }
+
   /** The received picture; its first row is the south, so it is turned over. */
   picture(flight, tick) {
     const picture = flight?.pictures.at(tick);
@@ -159,7 +167,7 @@ class Panels {
       return;
     }
     image.src = `data:image/png;base64,${picture.png}`;
-    image.alt = `Camera picture of interval ${picture.tick}, as received, north up.`;
+    image.alt = `Camera picture of interval ${picture.tick}, as received, ${this.find("#picture-up").textContent}.`;
     this.find("#picture-tick").textContent = `interval ${picture.tick}`;
   }
 
