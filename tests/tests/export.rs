@@ -19,7 +19,7 @@ fn a_flight_is_read_by_duckdb_gpxpy_and_the_reference_reader_of_mcap() {
         "table: 100 rows, 0 differences",
         "gpx: 100 points, 39.6 s",
         "geojson: LineString of 100, True",
-        "mcap: 300 messages, 300 told, 3 topics",
+        "mcap: 400 messages, 400 told, 4 topics, red at the UAV's place in 100 pictures",
     ];
     assert_eq!(said.lines().collect::<Vec<_>>(), expected);
 

@@ -135,7 +135,7 @@ class Strips {
           steps(u, high, theme.high);
         },
         pick,
-        splits: () => [0, ...store.powers],
+        splits: () => store.powers,
         height: 4.6,
       }),
       rate: new Chart(box("rate"), {

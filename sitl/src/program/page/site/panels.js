@@ -45,7 +45,7 @@ function fillList(list, pairs) {
 /** Pairs of a name and a shown value; what lies one level deeper carries both names. Long texts are left out. */
 function flat(name, value, depth = 0) {
   if (typeof value === "string" && value.length > LONG_TEXT) return [];
-  if (value === null || typeof value !== "object") return [[name, shown(value, 4)]];
+  if (value === null || typeof value !== "object") return [[name.replaceAll("_", " "), shown(value, 4)]];
   if (Array.isArray(value) || depth > 0) return [];
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
 }
