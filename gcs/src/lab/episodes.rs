@@ -182,11 +182,22 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
     }
     let width = columns::width();
     let say = |line: String, indent| crpl_sitl::out!("{}", columns::wrapped(&line, indent, width));
-    say(format!("{}, {}, {} flights from seed {}", row.controller, row.scenario, row.episodes, row.first_seed), 2);
+    say(
+        format!(
+            "{}, {}, {} flights from seed {}",
+            row.controller, row.scenario, row.episodes, row.first_seed
+        ),
+        2,
+    );
     let of_all = |share: f64| format!("{:.0} of {}", share * row.episodes as f64, row.episodes);
     if row.distinct == 1 && row.episodes > 1 {
         let all = row.episodes;
-        say(format!("  all {all} flights are the same flight, as nothing in them is left to chance: no intervals"), 4);
+        say(
+            format!(
+                "  all {all} flights are the same flight, as nothing in them is left to chance: no intervals"
+            ),
+            4,
+        );
     }
     let ci = match row.distinct {
         1 => String::new(),

@@ -169,7 +169,10 @@ mod tests {
         assert_eq!(folded(lines, &[5, 4, 7], None), lines);
         let narrow = "  x  who\n  1  crpl\n\n  x      d_f\n  1    0.004\n";
         assert_eq!(folded(lines, &[5, 4, 7], Some(12)), narrow);
-        assert_eq!(folded(&(lines.to_owned() + "no table"), &[5, 4, 7], Some(16)), lines.to_owned() + "no table\n");
+        assert_eq!(
+            folded(&(lines.to_owned() + "no table"), &[5, 4, 7], Some(16)),
+            lines.to_owned() + "no table\n"
+        );
         assert_eq!(folded_line("  1  crpl  0.004", &[5, 4, 7], Some(12)), "  1  crpl\n       0.004\n");
         // A name that is longer than its column is cut nowhere.
         let long = folded(&(lines.to_owned() + "  2  somebody 0.005\n"), &[5, 4, 7], Some(12));

@@ -105,7 +105,8 @@ pub fn run(
     let rows = radios.len() * flags.downlink.len() * controllers.len();
     let bar = progress::bar("flights", episodes * rows as u64);
     if !json {
-        crpl_sitl::outln!("{}, {episodes} flights from seed {first_seed}", scenario.name);
+        let words = format!("{}, {episodes} flights from seed {first_seed}", scenario.name);
+        crpl_sitl::out!("{}", columns::wrapped(&words, 2, columns::width()));
         head().lines().for_each(put);
     }
     for (picture, radio) in &radios {

@@ -109,7 +109,8 @@ pub fn run(args: &FleetFlags) -> Result<()> {
     let bar = progress::bar("flights", args.episodes * rows as u64);
     if !args.json {
         let (n, first) = (args.episodes, args.first_seed);
-        crpl_sitl::outln!("{}, shared B dt {b_dt}, {n} flights from seed {first}", scenario.name);
+        let words = format!("{}, shared B dt {b_dt}, {n} flights from seed {first}", scenario.name);
+        crpl_sitl::out!("{}", columns::wrapped(&words, 2, columns::width()));
         put(&head());
     }
     let mut all = Vec::new();

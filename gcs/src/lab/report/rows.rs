@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use crpl_model::numeric::statistics::Mean;
+use crpl_sitl::program::columns;
 
 use super::claims::{Claim, ROLLOUTS};
 use super::quantities::{FlightQuantity, SweepQuantity};

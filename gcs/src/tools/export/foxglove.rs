@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 
 use super::mcap::McapLog;
-use super::track::{FlightTrack, TrackSample};
+use super::track::FlightTrack;
 
 /// The parts of Foxglove's schemas that are used here.
 fn location_schema() -> Value {

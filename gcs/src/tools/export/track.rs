@@ -147,7 +147,11 @@ fn pictures_of(path: &Path, track: &FlightTrack) -> Vec<(f64, Vec<u8>)> {
     let html = std::fs::read_to_string(path).unwrap_or_default();
     let interval_s = track.scenario.as_ref().map_or(0.0, |scenario| scenario.scale.interval_s);
     let lines = document::lines_of(&html).unwrap_or_default();
-    lines.iter().filter_map(|line| picture_of(line)).map(|(tick, png)| (tick as f64 * interval_s, png)).collect()
+    lines
+        .iter()
+        .filter_map(|line| picture_of(line))
+        .map(|(tick, png)| (tick as f64 * interval_s, png))
+        .collect()
 }
 
 /// The picture in a line of the feed, if there is one, the right way up: its first row was the field's lower edge.

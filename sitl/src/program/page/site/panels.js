@@ -42,10 +42,11 @@ function fillList(list, pairs) {
   });
 }
 
-/** Pairs of a name and a shown value; what lies one level deeper carries both names. Long texts are left out. */
+/** Pairs of a name, which may be broken behind an underscore, and a shown value; what lies one level deeper carries both
+    names. Long texts are left out. */
 function flat(name, value, depth = 0) {
   if (typeof value === "string" && value.length > LONG_TEXT) return [];
-  if (value === null || typeof value !== "object") return [[name.replaceAll("_", " "), shown(value, 4)]];
+  if (value === null || typeof value !== "object") return [[name.replaceAll("_", "_\u200b"), shown(value, 4)]];
   if (Array.isArray(value) || depth > 0) return [];
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
 }
@@ -193,9 +194,10 @@ class Panels {
     this.ledgerLast = last;
   }
 
-  /** Counters of the link, as they stood last; of a link that was counted once, as it was counted. */
+  /** Counters of the link, as they stood last, which at the end is after the last interval; of a link that was counted
+      once, as it was counted. */
   link(flight, tick) {
-    const counted = flight?.links.at(tick) ?? flight?.links.values[0];
+    const counted = flight?.links.at(tick >= flight.head ? Infinity : tick) ?? flight?.links.values[0];
     this.find("#link").hidden = !counted;
     if (!counted) return;
     this.find("#link-title").textContent = `Link, interval ${counted.tick}`;
