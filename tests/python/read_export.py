@@ -53,7 +53,7 @@ red = 0
 for record, picture in zip(records, pictures, strict=True):
     image = Image.open(io.BytesIO(base64.b64decode(picture["data"])))
     x, y = record["r"]
-    red += image.getpixel((int(100 * x), int(100 * (1 - y))))[0] > 100
+    red += image.getpixel((min(99, int(100 * x)), min(99, int(100 * (1 - y)))))[0] > 100
 topics = {channel.topic for channel in summary.channels.values()}
 print(f"mcap: {len(messages)} messages, {summary.statistics.message_count} told, {len(topics)} topics, "
       f"red at the UAV's place in {red} pictures")

@@ -168,7 +168,7 @@ pub fn run(args: &Optimise) -> Result<()> {
             o.motion.j
         );
         crpl_sitl::outln!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
-        crpl_sitl::out!("{flown}");
+        crpl_sitl::out!("{}", columns::wrapped(&flown.to_string(), 2, columns::width()));
         let file = out.join(format!("{kept}.safetensors"));
         crpl_sitl::outln!("{wall_s:.1} s, attempt {attempts}; {}", file.display());
     }
