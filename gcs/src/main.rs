@@ -29,6 +29,7 @@ use crpl_gcs::watch::{Shown, SteerFlags, WatchFlags, WatchPage};
 use crpl_sitl::link::endpoint::Endpoint;
 use crpl_sitl::program::camera::CameraFlag;
 use crpl_sitl::program::cli::Pace;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::terminal::{self, ExitWith, folder, positive, speed};
 use crpl_sitl::scenario::presets;
 
@@ -407,7 +408,7 @@ fn print_flights(flights: &[Summary], json: bool) -> Result<()> {
     if json {
         crpl_sitl::outln!("{}", serde_json::to_string(&serde_json::json!({ "flights": flights }))?);
     } else {
-        crpl_sitl::out!("{}", summary::table(flights));
+        crpl_sitl::out!("{}", summary::table(flights, columns::width()));
     }
     Ok(())
 }

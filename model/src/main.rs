@@ -14,6 +14,7 @@ use crpl_model::training::show::StageShow;
 use crpl_model::training::{ablation_command, collect_command, learned, predictors};
 use crpl_model::world_model::WorldModel;
 use crpl_model::world_model::recording::Recording;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::page::WatchFlags;
 use crpl_sitl::program::page::feed::WatchEvent;
 use crpl_sitl::program::terminal;
@@ -182,8 +183,9 @@ fn run(args: &Train) -> anyhow::Result<()> {
         });
         crpl_sitl::outln!("{out:#}");
     } else {
-        crpl_sitl::out!("{}{}", model.card.metrics.table(), diagnostics.table());
-        crpl_sitl::outln!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
+        let time = format!("{:<44} {wall_s:.1} s wall, {cpu_s:.1} s CPU", "time");
+        let rows = model.card.metrics.table() + &diagnostics.table() + &time;
+        crpl_sitl::out!("{}", columns::wrapped(&rows, 4, columns::width()));
         crpl_sitl::outln!("checkpoint in {}", args.out.display());
         if args.quick {
             crpl_sitl::outln!("made by --quick: these are not the figures of the full recipe");

@@ -89,7 +89,7 @@ fn the_shipped_evaluation_has_its_shape_and_holds_its_bars() {
         let rate = count["rate"].as_f64().unwrap();
         assert!(count["kept"] == 200 && rate > 0.0 && rate < 1.0, "{count}");
     }
-    assert!(measured.report.table().contains("kept of the candidates"));
+    assert!(measured.report.table(None).contains("kept of the candidates"));
     for predictor in ["linear", "mlp", "lstm", "constant_velocity", "observer"] {
         for start in ["rest", "rest_moving_obstacle", "moving"] {
             for h in [1, 10, 20, 50, 100] {

@@ -4,6 +4,8 @@ reference reader of MCAP, and Python's own JSON; and compares them with record.j
     read_export.py FOLDER
 """
 
+import base64
+import io
 import json
 import pathlib
 import sys
@@ -11,6 +13,7 @@ import sys
 import duckdb
 import gpxpy
 from mcap.reader import make_reader
+from PIL import Image
 
 folder = pathlib.Path(sys.argv[1])
 records = [json.loads(line) for line in (folder / "record.jsonl").read_text().splitlines()]
@@ -44,5 +47,13 @@ with (folder / "flight.mcap").open("rb") as stream:
 assert flown == records and "config.toml" in notes[0]
 times = [m.log_time for _, _, m in messages]
 assert times == sorted(times)
+# The UAV is red, and north is up; where it crosses the blue obstacle nothing is asked.
+pictures = [json.loads(m.data) for _, channel, m in messages if channel.topic == "/vehicle_1/picture"]
+red = 0
+for record, picture in zip(records, pictures, strict=True):
+    image = Image.open(io.BytesIO(base64.b64decode(picture["data"])))
+    x, y = record["r"]
+    red += image.getpixel((min(99, int(100 * x)), min(99, int(100 * (1 - y)))))[0] > 100
 topics = {channel.topic for channel in summary.channels.values()}
-print(f"mcap: {len(messages)} messages, {summary.statistics.message_count} told, {len(topics)} topics")
+print(f"mcap: {len(messages)} messages, {summary.statistics.message_count} told, {len(topics)} topics, "
+      f"red at the UAV's place in {red} pictures")

@@ -4,7 +4,7 @@
 
 use crpl_sitl::program::renamed::RENAMED;
 use crpl_sitl::scenario::presets;
-use tests::program;
+use tests::{program, python};
 
 /// Exit code and stderr of a command that is refused.
 fn refused(command: &str, args: &[&str]) -> (Option<i32>, String) {
@@ -122,4 +122,30 @@ fn the_log_is_short_quiet_or_json() {
         assert!(event["level"].is_string() && event["message"].is_string(), "{line}");
     }
     assert!(demo(&["-v"], "verbose").contains("DEBUG"));
+}
+
+#[test]
+fn nothing_that_is_printed_is_wider_than_the_terminal() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let out = out.to_str().unwrap();
+    let flown = program::run("gcs", &["demo", "--controller", "crpl,rcc,ucc", "--out", out]).unwrap();
+    flown.good().unwrap();
+    let runs = ["crpl", "rcc", "ucc"].map(|name| format!("{out}/{name}"));
+    let few = ["--controller", "crpl,rcc", "--episodes", "2"];
+    let commands = [
+        [&["score"], &runs.each_ref().map(String::as_str)[..]].concat(),
+        vec!["scenario", "list"],
+        vec!["scenario", "show", "narrow"],
+        [&["episodes"], &few[..]].concat(),
+        [&["fleet", "--vehicles", "2"], &few[..]].concat(),
+    ];
+    let gcs = program::path("gcs").unwrap();
+    for (columns, command) in
+        ["80", "60"].iter().flat_map(|columns| commands.iter().map(move |c| (columns, c)))
+    {
+        let args = [&[columns, gcs.to_str().unwrap()], &command[..]].concat();
+        let said = python::script("in_terminal.py", &args).unwrap().good().unwrap();
+        assert_eq!(said, "True, exit status 0\n", "{columns}: {command:?}");
+    }
 }

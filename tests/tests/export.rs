@@ -19,9 +19,14 @@ fn a_flight_is_read_by_duckdb_gpxpy_and_the_reference_reader_of_mcap() {
         "table: 100 rows, 0 differences",
         "gpx: 100 points, 39.6 s",
         "geojson: LineString of 100, True",
-        "mcap: 300 messages, 300 told, 3 topics",
+        "mcap: 400 messages, 400 told, 4 topics, red at the UAV's place in 100 pictures",
     ];
     assert_eq!(said.lines().collect::<Vec<_>>(), expected);
+
+    // The example for Rerun is run with a stand-in for Rerun's library.
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/python/to_rerun.py");
+    let said = python::script("to_rerun.py", &[example, run]).unwrap().good().unwrap();
+    assert!(said.lines().eq([&format!("100 intervals in {run}/flight.rrd"), "100 100 True"]), "{said}");
 
     // The tlog of a lockstep flight holds the flight's own time, and its places.
     let tlog = format!("{run}/flight.tlog");
@@ -35,5 +40,5 @@ fn a_flight_is_read_by_duckdb_gpxpy_and_the_reference_reader_of_mcap() {
     let refused = gcs(&["export", run, "--to", "csv"]);
     assert!(refused.stderr.contains("--overwrite") && !refused.status.success(), "{}", refused.stderr);
     let refused = gcs(&["export", run, "--to", "rrd"]);
-    assert!(refused.stderr.contains("--to mcap") && !refused.status.success(), "{}", refused.stderr);
+    assert!(refused.stderr.contains("to_rerun.py") && !refused.status.success(), "{}", refused.stderr);
 }

@@ -395,3 +395,21 @@ fn a_training_shows_its_curves() {
     assert_eq!(told[0]["program"], "model train");
     program.interrupt().unwrap();
 }
+
+#[test]
+fn a_sweep_shows_how_far_it_is_before_its_first_flight_and_its_points_at_the_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("sweep");
+    let sweep = ["sweep", "--config", "configs/sweep_bandwidth.toml", "--points", "2.5,4", "--episodes", "2"];
+    let more = ["--controller", "crpl,rcc", "--out", out.to_str().unwrap(), "--watch"];
+    let program = Program::start("gcs", &[&sweep[..], &more].concat(), None).unwrap();
+    let (host, _) = page(&program);
+    let told = events(&mut asked(&host, "GET /events", &[], ""), is_end);
+    let progress: Vec<[u64; 2]> = told
+        .iter()
+        .filter(|event| event["kind"] == "progress")
+        .map(|event| ["done", "total"].map(|key| event[key].as_u64().unwrap()))
+        .collect();
+    assert_eq!((progress[0], progress.len(), kinds(&told)["point"] > 0), ([0, 8], 9, true));
+    program.wait().unwrap().good().unwrap();
+}

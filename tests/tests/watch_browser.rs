@@ -52,6 +52,14 @@ fn flight_html_plays_from_a_file_and_draws_the_golden_pictures() {
 }
 
 #[test]
+fn a_field_whose_up_is_not_north_stands_north_up_and_turns_back_by_a_key() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = tempfile::tempdir().unwrap().keep();
+    print!("{}", browser::script("north.cjs", &[flight(&dir), out.clone()]).unwrap().good().unwrap());
+    fs::remove_dir_all(out).unwrap();
+}
+
+#[test]
 fn axe_finds_no_serious_fault_in_either_theme_at_any_width() {
     let dir = tempfile::tempdir().unwrap();
     print!("{}", browser::script("accessible.cjs", &[flight(&dir)]).unwrap().good().unwrap());

@@ -8,6 +8,7 @@ use anyhow::{Result, bail};
 use crpl_model::numeric::statistics::{Interval, Mean, quantile};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::program::timing::Stopwatch;
@@ -125,7 +126,7 @@ pub fn run(args: &Bound) -> Result<()> {
     if args.json {
         crpl_sitl::outln!("{}", serde_json::to_string(&bounds)?);
     } else {
-        crpl_sitl::out!("{}", text(&bounds));
+        crpl_sitl::out!("{}", text(&bounds, columns::width()));
     }
     Ok(())
 }
@@ -192,15 +193,19 @@ fn decision(apc: &Apc, scenario: &Scenario) -> f64 {
     quantile(&times, 0.5)
 }
 
-fn text(b: &BoundReport) -> String {
+/// Widths of the columns of [`text`].
+const COLUMNS: [usize; 7] = [12, 26, 26, 29, 8, 8, 13];
+
+fn text(b: &BoundReport, width: Option<usize>) -> String {
     use std::fmt::Write;
     let ci = |ci: Interval| format!("[{:.4}, {:.4}]", ci[0], ci[1]);
-    let mut out = format!(
+    let words = format!(
         "{}, {} flights a row from seed {}\n\
          no constraint, no loss: J of any controller is at least {:.4} (lattice)\n\
          APC: value of the start with penalties and terminal cost {:.4} (lattice); solved in {:.1} s, {:.3} ms a decision\n",
         b.scenario, b.episodes, b.first_seed, b.unconstrained, b.constrained, b.solve_s, b.decision_ms
     );
+    let mut out = String::new();
     let _ = writeln!(
         out,
         "{:<12}{:>8} {:<17}{:>8} {:<17}{:>9} {:<19}{:>8}{:>8}  constraints",
@@ -222,5 +227,5 @@ fn text(b: &BoundReport) -> String {
             if row.keeps { "kept" } else { "broken" }
         );
     }
-    out
+    columns::wrapped(&words, 2, width) + &columns::folded(&out, &COLUMNS, width)
 }

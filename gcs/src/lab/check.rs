@@ -16,6 +16,7 @@ use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::terminal::{StopSignal, positive};
 use crpl_sitl::scenario::presets;
 use crpl_sitl::sim::record::Record;
@@ -242,7 +243,7 @@ pub fn run(args: &Check) -> Result<()> {
     if args.json {
         crpl_sitl::outln!("{}", serde_json::to_string(&check)?);
     } else {
-        crpl_sitl::out!("{check}");
+        crpl_sitl::out!("{}", columns::wrapped(&check.to_string(), 2, columns::width()));
     }
     check.verdict()
 }

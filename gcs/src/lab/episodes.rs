@@ -4,6 +4,7 @@
 use anyhow::Result;
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
 use crpl_sitl::scenario::presets;
@@ -179,49 +180,48 @@ fn show(row: &EpisodesRow, json: bool) -> Result<()> {
         crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    crpl_sitl::outln!(
-        "{}, {}, {} flights from seed {}",
-        row.controller,
-        row.scenario,
-        row.episodes,
-        row.first_seed
+    let width = columns::width();
+    let say = |line: String, indent| crpl_sitl::out!("{}", columns::wrapped(&line, indent, width));
+    say(
+        format!(
+            "{}, {}, {} flights from seed {}",
+            row.controller, row.scenario, row.episodes, row.first_seed
+        ),
+        2,
     );
     let of_all = |share: f64| format!("{:.0} of {}", share * row.episodes as f64, row.episodes);
     if row.distinct == 1 && row.episodes > 1 {
-        crpl_sitl::outln!(
-            "  all {} flights are the same flight, as nothing in them is left to chance: no intervals",
-            row.episodes
+        let all = row.episodes;
+        say(
+            format!(
+                "  all {all} flights are the same flight, as nothing in them is left to chance: no intervals"
+            ),
+            4,
         );
     }
     let ci = match row.distinct {
         1 => String::new(),
         _ => format!(" [{:.3}, {:.3}]", row.reached_ci[0], row.reached_ci[1]),
     };
-    crpl_sitl::outln!(
-        "  reached {:.3}{ci} ({}), at a wall {}, below the obstacle {:.3} ({})",
-        row.reached,
-        of_all(row.reached),
-        row.at_wall,
-        row.below,
-        of_all(row.below)
-    );
+    let (reached, below) = (of_all(row.reached), of_all(row.below));
+    let reached = format!("  reached {:.3}{ci} ({reached}), at a wall {}", row.reached, row.at_wall);
+    say(format!("{reached}, below the obstacle {:.3} ({below})", row.below), 4);
     for (metric, mean) in row.metrics.iter() {
         crpl_sitl::outln!("  {:<14}{}", metric.symbol(), cell(mean, row.distinct));
     }
     if let Some(ratios) = row.ratio_to_crpl.filter(|_| row.distinct > 1) {
         let cells: Vec<String> =
             Metric::compared().map(|m| format!("{} {}", m.symbol(), ratio_cell(&ratios[m]))).collect();
-        // Three in a line: 80 columns.
         for (n, some) in cells.chunks(3).enumerate() {
-            crpl_sitl::outln!("  {:<14}{}", if n == 0 { "over crpl" } else { "" }, some.join(", "));
+            say(format!("  {:<14}{}", if n == 0 { "over crpl" } else { "" }, some.join(", ")), 16);
         }
     }
     if let Some(mismatch) = row.policy.as_ref().and_then(PolicyOrigin::mismatch) {
         let does = if row.controller.flies_policies() { "flies" } else { "begins its search with" };
-        crpl_sitl::outln!("  {does} a policy of another world: {mismatch}");
+        say(format!("  {does} a policy of another world: {mismatch}"), 4);
     }
     if let Some(told) = row.answers.as_ref().and_then(AnswerTally::told) {
-        crpl_sitl::outln!("  {told}");
+        say(format!("  {told}"), 4);
     }
     Ok(())
 }

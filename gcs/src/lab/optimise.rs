@@ -13,6 +13,7 @@ use crpl_model::planning::policy::Policies;
 use crpl_model::world_model::{StationHeads, WorldModel};
 use crpl_sitl::Scenario;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::shard::Shard;
@@ -167,7 +168,7 @@ pub fn run(args: &Optimise) -> Result<()> {
             o.motion.j
         );
         crpl_sitl::outln!("P_comm {:.4} as executed, mean power {:.3}", o.p_comm_executed, o.mean_power);
-        crpl_sitl::out!("{flown}");
+        crpl_sitl::out!("{}", columns::wrapped(&flown.to_string(), 2, columns::width()));
         let file = out.join(format!("{kept}.safetensors"));
         crpl_sitl::outln!("{wall_s:.1} s, attempt {attempts}; {}", file.display());
     }
@@ -182,9 +183,7 @@ fn compare_limits(
     args: &Optimise,
 ) -> Result<()> {
     if !args.json {
-        crpl_sitl::outln!(
-            "limits     J right   J left    margin             P_safe   P_safe flown  d_f flown"
-        );
+        put("limits     J right   J left    margin             P_safe   P_safe flown  d_f flown");
     }
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         let config = OptimiseConfig { limits, ..config.clone() };
@@ -198,7 +197,7 @@ fn compare_limits(
                 serde_json::json!({"limits": limits, "outcome": outcome, "flown": flown})
             );
         } else {
-            crpl_sitl::outln!(
+            put(&format!(
                 "{:<9} {:>8.4}  {:>8.4}  {:+.4} +- {:.4}  {:>8.4}   {:>8.4}      {:.4}",
                 format!("{limits:?}").to_lowercase(),
                 c.right.j,
@@ -208,10 +207,15 @@ fn compare_limits(
                 outcome.motion.p_safe,
                 flown.safe.share,
                 flown.d_f
-            );
+            ));
         }
     }
     Ok(())
+}
+
+/// Prints a row of the table of [`compare`].
+fn put(line: &str) {
+    crpl_sitl::out!("{}", columns::folded_line(line, &[9, 10, 11, 20, 9, 15, 11], columns::width()));
 }
 
 /// The progress of the same run, `None` if there is none; one of another run is an error.

@@ -14,6 +14,7 @@ use crpl_model::planning::config::OptimiseConfig;
 use crpl_model::planning::scope;
 use crpl_model::world_model::WorldModel;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::shard::Shard;
 use crpl_sitl::units::TxPower;
@@ -212,7 +213,7 @@ pub fn run(
         None => Vec::new(),
     };
     if !json {
-        crpl_sitl::outln!("{HEAD}");
+        put(HEAD);
     }
     rows.iter().try_for_each(|row| show(row, json))?;
     for n in (rows.len() as u64..).map(|k| k * shard.of + shard.number - 1).take_while(|n| *n < plan.worlds) {
@@ -263,8 +264,10 @@ fn show(row: &RandomRow, json: bool) -> Result<()> {
         crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    crpl_sitl::outln!("{}", text(row));
-    row.refused.iter().for_each(|why| crpl_sitl::outln!("       {why}"));
+    put(&text(row));
+    let width = columns::width();
+    let say = |why: &String| crpl_sitl::out!("{}", columns::wrapped(&format!("       {why}"), 7, width));
+    row.refused.iter().for_each(say);
     Ok(())
 }
 
@@ -397,7 +400,7 @@ pub fn merge(dirs: &[PathBuf], out: &Path, json: bool) -> Result<()> {
         rows.iter().try_for_each(|row| whole.add(row))?;
     }
     if !json {
-        crpl_sitl::outln!("{HEAD}");
+        put(HEAD);
     }
     rows.iter().try_for_each(|row| show(row, json))?;
     if !json {
@@ -413,6 +416,13 @@ const ROWS: &str = "worlds.jsonl";
 
 /// Names of the columns of [`text`].
 const HEAD: &str = "  n  start         goal          obstacle      radius  base station  B dt   solvable  solved  attempt  P_safe  P_comm  reached  s";
+
+/// Widths of these columns.
+const COLUMNS: [usize; 14] = [3, 16, 15, 15, 8, 15, 7, 10, 8, 9, 8, 8, 9, 7];
+
+fn put(line: &str) {
+    crpl_sitl::out!("{}", columns::folded_line(line, &COLUMNS, columns::width()));
+}
 
 fn text(row: &RandomRow) -> String {
     let place = |r: Vector2<f64>| format!("({:.3}, {:.3})", r.x, r.y);

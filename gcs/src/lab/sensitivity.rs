@@ -15,6 +15,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use crpl_model::planning::config::OptimiseConfig;
 use crpl_sitl::Scenario;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::shard::Shard;
 use crpl_sitl::program::terminal::StopSignal;
@@ -163,7 +164,9 @@ pub fn run(args: &Sensitivity) -> Result<()> {
     let text = table(&done);
     let path = args.out.join("table.txt");
     fs::write(&path, &text).with_context(|| format!("writing {}", path.display()))?;
-    crpl_sitl::out!("{text}");
+    let (words, rows) = text.split_once('\n').unwrap_or_default();
+    let width = columns::width();
+    crpl_sitl::out!("{}{}", columns::wrapped(words, 2, width), columns::folded(rows, &COLUMNS, width));
     Ok(())
 }
 
@@ -310,6 +313,13 @@ fn read(dir: &Path) -> Result<Vec<Outcome>> {
     all.sort_by_key(|o| o.world);
     Ok(all)
 }
+
+/// Widths of the columns of [`table`].
+const COLUMNS: [usize; 1 + Verdict::ALL.len()] = {
+    let mut room = [13; 1 + Verdict::ALL.len()];
+    room[0] = 58;
+    room
+};
 
 /// How often each claim came out how.
 fn table(done: &[Outcome]) -> String {

@@ -1,6 +1,7 @@
 //! One flight over a link in numbers, and flights side by side as the table that is printed.
 
 use crpl_model::numeric::statistics::quantile;
+use crpl_sitl::program::columns;
 use crpl_sitl::radio::Fates;
 use crpl_sitl::scenario::CollisionAction;
 use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
@@ -128,9 +129,9 @@ pub fn by_vehicle(flights: &[Summary]) -> Value {
     first
 }
 
-/// Flights side by side, for people.
+/// Flights side by side, for people; no wider than `width`.
 #[must_use]
-pub fn table(flights: &[Summary]) -> String {
+pub fn table(flights: &[Summary], width: Option<usize>) -> String {
     type Cell = fn(&Summary) -> String;
     let rows: [(&str, Cell); 10] = [
         ("commands sent", |f| f.commands.sent.to_string()),
@@ -160,28 +161,29 @@ pub fn table(flights: &[Summary]) -> String {
         });
     }
     rows.iter().for_each(|(name, cell)| row(name, cell));
-    text.push('\n');
+    let room: Vec<usize> = std::iter::once(40).chain(flights.iter().map(|_| 12)).collect();
+    let mut notes = String::new();
     for flight in flights.iter().filter(|flight| flight.ended.how != FlightEnd::Over) {
         let (how, ticks, why) = (flight.ended.how.key(), flight.score.ticks, &flight.ended.why);
-        text += &format!("{}: ended after {ticks} intervals, {how}: {why}\n", flight.controller);
+        notes += &format!("{}: ended after {ticks} intervals, {how}: {why}\n", flight.controller);
     }
     for flight in flights {
         if let Some(mismatch) = flight.policy.as_ref().and_then(PolicyOrigin::mismatch) {
             let does = if flight.controller.flies_policies() { "flew" } else { "began its search with" };
-            text += &format!("{}: {does} a policy of another world: {mismatch}\n", flight.controller);
+            notes += &format!("{}: {does} a policy of another world: {mismatch}\n", flight.controller);
         }
     }
     for flight in flights {
         if let Some(told) = flight.answers.as_ref().and_then(AnswerTally::told) {
-            text += &format!("{}: {told}\n", flight.controller);
+            notes += &format!("{}: {told}\n", flight.controller);
         }
     }
     for flight in flights.iter().filter(|flight| flight.fell) {
-        text += &format!("{}: collided and fell in interval {}\n", flight.controller, flight.score.ticks);
+        notes += &format!("{}: collided and fell in interval {}\n", flight.controller, flight.score.ticks);
     }
     for flight in flights.iter().filter(|flight| flight.setpoints_held_back > 0) {
         let count = flight.setpoints_held_back;
-        text += &format!("{}: {count} setpoints of other stations not forwarded\n", flight.controller);
+        notes += &format!("{}: {count} setpoints of other stations not forwarded\n", flight.controller);
     }
-    text
+    columns::folded(&text, &room, width) + &columns::wrapped(&notes, 2, width)
 }

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use crpl_model::numeric::statistics::Mean;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::StopSignal;
@@ -283,7 +284,7 @@ pub fn run(args: &Tune) -> Result<()> {
     if args.json {
         crpl_sitl::outln!("{}", serde_json::json!({"law": file, "paper": paper, "tuned": winner}));
     } else {
-        crpl_sitl::out!("{table}");
+        crpl_sitl::out!("{}", columns::folded(&table, &COLUMNS, columns::width()));
         crpl_sitl::outln!("{} laws tried; {}", file.found.tried, path.display());
     }
     Ok(())
@@ -322,6 +323,9 @@ fn sensitivity(search: &Search, winner: &Tried, flights: u64) -> Vec<(String, Tr
     }
     around.into_iter().map(|(name, law)| (name, search.fly(&law, flights, None))).collect()
 }
+
+/// Widths of the columns of [`table`].
+const COLUMNS: [usize; 9] = [22, 18, 25, 8, 7, 7, 8, 8, 6];
 
 /// Untuned, tuned, and what each number does, world by world.
 fn table(worlds: &[String], paper: &Tried, winner: &Tried, around: &[(String, Tried)]) -> String {

@@ -92,7 +92,7 @@ impl Narrator {
     }
 
     fn send(&self, event: &WatchEvent) {
-        self.feeds.iter().for_each(|feed| feed.send(event));
+        Feed::send_to(&self.feeds, event);
     }
 
     /// Tells a sight.

@@ -7,6 +7,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
 use crpl_sitl::Scenario;
+use crpl_sitl::program::priority;
 use crpl_sitl::radio::message::{Command, Percept, Telemetry};
 use serde_json::Value;
 
@@ -38,6 +39,7 @@ impl NarratorThread {
         let waiting = Arc::new(AtomicUsize::new(0));
         let left = waiting.clone();
         let thread = std::thread::spawn(move || {
+            priority::give_way();
             for sight in told {
                 left.fetch_sub(1, Ordering::Relaxed);
                 narrator.tell(sight);
@@ -190,13 +192,13 @@ impl FlightWatcher {
     pub fn locate(&self, place: FieldPlace) {
         let FieldPlace { origin, heading } = place;
         let event = WatchEvent::Geo { origin, heading, buildings: self.buildings.clone() };
-        self.feeds().for_each(|feed| feed.send(&event));
+        Feed::send_to(self.feeds(), &event);
     }
 
     /// Counters of the flight's link, by name.
     pub fn link(&self, tick: u64, counters: &Value) {
         let event = WatchEvent::Link { vehicle: self.vehicle, tick, counters: counters.clone() };
-        self.feeds().for_each(|feed| feed.send(&event));
+        Feed::send_to(self.feeds(), &event);
     }
 
     /// The flight is over: tells what is left and gives the flight as one page. `last` is its last report, `summary`

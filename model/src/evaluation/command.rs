@@ -9,7 +9,7 @@ use crate::predictor::{Networks, PREDICTORS};
 use crate::world_model::{WorldModel, checkpoint};
 use anyhow::{Context, Result, bail};
 use crpl_sitl::Scenario;
-use crpl_sitl::program::progress;
+use crpl_sitl::program::{columns, progress};
 
 /// Flags of `model evaluate`.
 #[derive(Debug, clap::Args)]
@@ -78,7 +78,7 @@ pub fn run(args: &Evaluate) -> Result<()> {
     if args.json {
         crpl_sitl::outln!("{results:#}");
     } else {
-        crpl_sitl::out!("{}", measured.report.table());
+        crpl_sitl::out!("{}", measured.report.table(columns::width()));
         crpl_sitl::outln!("figures and results in {}", args.out.display());
     }
     Ok(())

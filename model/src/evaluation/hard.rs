@@ -5,6 +5,7 @@
 
 use crpl_sitl::camera::cases::{CASES, Placement};
 use crpl_sitl::camera::{Body, CameraConfig, Film, Poses, SIDE};
+use crpl_sitl::program::columns;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::units::Tick;
 use crpl_sitl::world::noise::{Noise, Stream};
@@ -193,9 +194,9 @@ fn row(case: &str, about: &str, looks: &[ReadPicture]) -> HardRow {
 }
 
 impl HardReport {
-    /// The rows for people.
+    /// The rows for people; no wider than `width`.
     #[must_use]
-    pub fn table(&self) -> String {
+    pub fn table(&self, width: Option<usize>) -> String {
         let mut out = format!(
             "{:<46} {:>6} {:>6} {:>7} {:>13}\n",
             "camera (l1, px, 90 %)", "z_c", "z_u", "lost", "offset of z_c"
@@ -210,10 +211,10 @@ impl HardReport {
                 r.z_c_p90_px, r.z_u_p90_px
             );
         }
-        out += &format!(
+        let leaks = format!(
             "leakage R²: z_c of the obstacle {:.4}, z_u of the UAV {:.4}\n",
             self.leak_c_to_u, self.leak_u_to_c
         );
-        out
+        columns::folded(&out, &[46, 7, 7, 8, 14], width) + &columns::wrapped(&leaks, 2, width)
     }
 }

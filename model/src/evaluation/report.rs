@@ -1,5 +1,6 @@
 //! All that `model evaluate` measures, as one value: JSON for programs, a table for people.
 
+use crpl_sitl::program::columns;
 use crpl_sitl::scenario::Scenario;
 use crpl_sitl::world::noise::{Noise, Stream};
 use nalgebra::Vector2;
@@ -375,9 +376,9 @@ fn rank(model: &WorldModel, frames: usize, scenario: &Scenario, noise: &Noise) -
 }
 
 impl EvaluationReport {
-    /// The table for people.
+    /// The table for people; no wider than `width`.
     #[must_use]
-    pub fn table(&self) -> String {
+    pub fn table(&self, width: Option<usize>) -> String {
         let mut text =
             String::from("trajectories that stay in the frame and below v_max; kept of the candidates:\n");
         text.extend(self.acceptance.iter().map(|row| {
@@ -388,9 +389,9 @@ impl EvaluationReport {
                 row.rate, row.ci[0], row.ci[1]
             )
         }));
-        text += &rollouts(&self.rollout);
+        let mut text = columns::wrapped(&text, 4, width) + &rollouts(&self.rollout, width);
         text += "\nnothing discarded: walls and v_max as in the simulator\n";
-        text += &rollouts(&self.unselected);
+        text += &rollouts(&self.unselected, width);
         let (p, h, a) = (&self.probe, &self.heads, &self.actions);
         let with =
             |value: f64, [low, high]: Interval, unit: &str| format!("{value:.4} [{low:.4}, {high:.4}]{unit}");
@@ -411,19 +412,19 @@ impl EvaluationReport {
             ("gain rms, within 0.06 of the base station", format!("{:.4} dB", h.gain_near_rms_db)),
         ];
         text.push('\n');
-        text.extend(rows.iter().map(|(name, value)| format!("{name:<44} {value}\n")));
-        text.push_str("\nharder cameras and states, p90 in px              z_c      z_u\n");
-        text.extend(
+        let named = |(name, value): &(&str, String)| format!("{name:<44} {value}\n");
+        text += &columns::wrapped(&rows.iter().map(named).collect::<String>(), 4, width);
+        let mut states = String::from("harder cameras and states, p90 in px              z_c      z_u\n");
+        states.extend(
             self.states.iter().map(|r| format!("{:<44} {:8.3} {:8.3}\n", r.case, r.z_c_p90_px, r.z_u_p90_px)),
         );
-        text.push('\n');
-        text += &self.cameras.table();
-        text
+        let states = columns::folded(&states, &[44, 9, 9], width);
+        format!("{text}\n{states}\n{}", self.cameras.table(width))
     }
 }
 
 /// A table of rollouts for people.
-fn rollouts(rows: &[RolloutRow]) -> String {
+fn rollouts(rows: &[RolloutRow], width: Option<usize>) -> String {
     let mut text = String::from(
         "predictor             start                   H  P(<=.2 px)  P(<=1 px) [95 %]         P(<=5 px)  p90, px [95 %]\n",
     );
@@ -434,7 +435,7 @@ fn rollouts(rows: &[RolloutRow]) -> String {
             r.h, r.p02, r.p1, r.ci.p1[0], r.ci.p1[1], r.p5, r.p90_px, r.ci.p90_px[0], r.ci.p90_px[1]
         );
     }
-    text
+    columns::folded(&text, &[21, 23, 4, 12, 22, 15, 22], width)
 }
 
 /// An enum's name as in JSON.

@@ -21,7 +21,9 @@ impl StageShow {
     #[must_use]
     pub fn begin(name: &'static str, steps: usize, feed: Option<&Feed>) -> Self {
         let total = steps as u64;
-        Self { name, bar: progress::bar(name, total), total, feed: feed.cloned() }
+        let stage = Self { name, bar: progress::bar(name, total), total, feed: feed.cloned() };
+        stage.send(0);
+        stage
     }
 
     /// One that nobody sees.
@@ -46,9 +48,14 @@ impl StageShow {
 
     /// Tells the page, if a part has ended.
     fn tell(&self, before: u64, done: u64) {
-        let Some(feed) = &self.feed else { return };
         let part = |steps: u64| steps * PARTS / self.total.max(1);
         if part(before) != part(done) {
+            self.send(done);
+        }
+    }
+
+    fn send(&self, done: u64) {
+        if let Some(feed) = &self.feed {
             feed.send(&WatchEvent::Progress { done, total: self.total, text: self.name.into() });
         }
     }

@@ -1,5 +1,5 @@
-//! Tables of text that are no wider than the terminal: columns that do not fit follow below, behind the first one
-//! again.
+//! Tables and sentences that are no wider than the terminal: columns that do not fit follow below, words on the next
+//! line.
 
 use std::io::IsTerminal;
 
@@ -14,23 +14,95 @@ pub fn width() -> Option<usize> {
 }
 
 /// Lines of a table whose columns have these widths, folded where they are wider than `width`: the columns that do
-/// not fit follow below, behind the first one again.
+/// not fit follow below, behind the first one again. A line that does not stand in these columns is wrapped.
 #[must_use]
 pub fn folded(lines: &str, columns: &[usize], width: Option<usize>) -> String {
+    let fits = |width: &usize| lines.lines().any(|line| line.chars().count() > *width);
+    let Some(width) = width.filter(fits) else { return whole(lines) };
     let mut text = String::new();
-    let width = width.filter(|_| !lines.is_empty());
-    for (n, block) in blocks(columns, width).iter().enumerate() {
+    for (n, block) in blocks(columns, Some(width)).iter().enumerate() {
         text.push_str(if n == 0 { "" } else { "\n" });
         for line in lines.lines() {
-            let cells = block.iter().map(|n| {
-                let before: usize = columns[..*n].iter().sum();
-                line.chars().skip(before).take(columns[*n]).collect::<String>()
-            });
-            text.push_str(cells.collect::<String>().trim_end());
-            text.push('\n');
+            if stands_in(line, columns) {
+                text.push_str(cells(line, columns, block).trim_end());
+                text.push('\n');
+            } else if n == 0 {
+                text.push_str(&wrapped(line, 2, Some(width)));
+            }
         }
     }
     text
+}
+
+/// One line of such a table, which is printed before the next one is known: what does not fit stands below.
+#[must_use]
+pub fn folded_line(line: &str, columns: &[usize], width: Option<usize>) -> String {
+    let Some(width) = width.filter(|width| line.chars().count() > *width) else { return whole(line) };
+    if !stands_in(line, columns) {
+        return wrapped(line, 2, Some(width));
+    }
+    let first = columns.first().copied().unwrap_or_default();
+    let mut text = String::new();
+    for (n, block) in blocks(columns, Some(width)).iter().enumerate() {
+        let begin = if n == 0 { String::new() } else { " ".repeat(first) };
+        let block = if n == 0 { block } else { &block[1..] };
+        text.push_str((begin + &cells(line, columns, block)).trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+/// Sentences, broken between words where they are wider than `width`; what follows stands `indent` blanks in.
+#[must_use]
+pub fn wrapped(lines: &str, indent: usize, width: Option<usize>) -> String {
+    let Some(width) = width else { return whole(lines) };
+    let mut text = String::new();
+    for line in lines.lines() {
+        let mut used = 0;
+        for (n, word) in line.split(' ').enumerate() {
+            let long = word.chars().count();
+            if n > 0 && used + 1 + long > width && used > indent {
+                text.truncate(text.trim_end_matches(' ').len());
+                text.push('\n');
+                text.push_str(&" ".repeat(indent));
+                used = indent;
+            } else if n > 0 {
+                text.push(' ');
+                used += 1;
+            }
+            text.push_str(word);
+            used += long;
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// Each line as it is.
+fn whole(lines: &str) -> String {
+    lines.lines().map(|line| format!("{}\n", line.trim_end())).collect()
+}
+
+/// The cells of a line that stand in some columns.
+fn cells(line: &str, columns: &[usize], block: &[usize]) -> String {
+    let cell = |n: &usize| {
+        let before: usize = columns[..*n].iter().sum();
+        // The last column takes what is left.
+        let room = if n + 1 == columns.len() { usize::MAX } else { columns[*n] };
+        line.chars().skip(before).take(room).collect::<String>()
+    };
+    block.iter().map(cell).collect()
+}
+
+/// Whether no cell of a line reaches into the next column.
+fn stands_in(line: &str, columns: &[usize]) -> bool {
+    let line: Vec<char> = line.chars().collect();
+    let mut end = 0;
+    columns.iter().take(columns.len().saturating_sub(1)).all(|column| {
+        end += column;
+        let is_blank = |at: usize| line.get(at).is_none_or(|c| *c == ' ');
+        end == 0 || is_blank(end - 1) || is_blank(end)
+    })
 }
 
 /// Head and rows, right-aligned, two blanks before each cell; folded where they are wider than `width`.
@@ -95,9 +167,22 @@ mod tests {
     fn lines_are_cut_where_their_columns_end() {
         let lines = "  x  who     d_f\n  1  crpl  0.004\n";
         assert_eq!(folded(lines, &[5, 4, 7], None), lines);
+        let narrow = "  x  who\n  1  crpl\n\n  x      d_f\n  1    0.004\n";
+        assert_eq!(folded(lines, &[5, 4, 7], Some(12)), narrow);
         assert_eq!(
-            folded(lines, &[5, 4, 7], Some(12)),
-            "  x  who\n  1  crpl\n\n  x      d_f\n  1    0.004\n"
+            folded(&(lines.to_owned() + "no table"), &[5, 4, 7], Some(16)),
+            lines.to_owned() + "no table\n"
         );
+        assert_eq!(folded_line("  1  crpl  0.004", &[5, 4, 7], Some(12)), "  1  crpl\n       0.004\n");
+        // A name that is longer than its column is cut nowhere.
+        let long = folded(&(lines.to_owned() + "  2  somebody 0.005\n"), &[5, 4, 7], Some(12));
+        assert!(long.contains("  2\n  somebody\n  0.005\n") && long.contains("  1    0.004"), "{long}");
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        assert_eq!(wrapped("name  one two\nthree\n", 6, None), "name  one two\nthree\n");
+        assert_eq!(wrapped("name  one two\nthree\n", 6, Some(10)), "name  one\n      two\nthree\n");
+        assert_eq!(wrapped("longerthanall", 2, Some(5)), "longerthanall\n");
     }
 }

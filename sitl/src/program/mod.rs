@@ -14,6 +14,7 @@
 //! | [`fleet`] | many vehicles in one process: ids, ports, obstacles |
 //! | [`log`] | the log on stderr |
 //! | [`page`] | a page in the browser that shows what a program does |
+//! | [`priority`] | threads whose work may be late |
 //! | [`progress`] | progress bars, and lines where there is no terminal |
 //! | [`shard`] | one machine's share of a computation |
 //! | [`shell`] | sockets and timers: lockstep and real time |
@@ -29,6 +30,7 @@ pub mod fleet;
 pub mod flight_log;
 pub mod log;
 pub mod page;
+pub mod priority;
 pub mod progress;
 pub mod renamed;
 pub mod shard;

@@ -5,7 +5,7 @@ use crpl_model::numeric::statistics::{Mean, quantile, wilson};
 use crpl_sitl::Scenario;
 use crpl_sitl::link::latents;
 use crpl_sitl::program::terminal::{StopSignal, positive};
-use crpl_sitl::program::{air, progress};
+use crpl_sitl::program::{air, columns, progress};
 use crpl_sitl::radio::air::AirRadio;
 use crpl_sitl::sim::metric::{FlightOutcome, FlightScore, Metric, PerMetric};
 use rayon::prelude::*;
@@ -105,7 +105,9 @@ pub fn run(
     let rows = radios.len() * flags.downlink.len() * controllers.len();
     let bar = progress::bar("flights", episodes * rows as u64);
     if !json {
-        crpl_sitl::outln!("{}, {episodes} flights from seed {first_seed}\n{}", scenario.name, head());
+        let words = format!("{}, {episodes} flights from seed {first_seed}", scenario.name);
+        crpl_sitl::out!("{}", columns::wrapped(&words, 2, columns::width()));
+        head().lines().for_each(put);
     }
     for (picture, radio) in &radios {
         for downlink in &flags.downlink {
@@ -163,6 +165,13 @@ fn row(
     }
 }
 
+/// Widths of the columns of the table.
+const COLUMNS: [usize; 12] = [7, 10, 9, 8, 15, 7, 7, 7, 6, 8, 9, 7];
+
+fn put(line: &str) {
+    crpl_sitl::out!("{}", columns::folded_line(line, &COLUMNS, columns::width()));
+}
+
 fn head() -> String {
     format!(
         "{:>7} {:<9} {:<8} {:>7} {:>14} {:>6} {:>6} {:>6} {:>5} {:>7} {:>8} {:>6}",
@@ -190,7 +199,7 @@ fn show(row: &AirRow, json: bool) -> Result<()> {
         return Ok(());
     }
     let mean = |metric: Metric| row.metrics[metric].mean;
-    crpl_sitl::outln!(
+    put(&format!(
         "{:>7} {:<9} {:<8} {:>7} {:>14} {:>6.3} {:>6.2} {:>6.3} {:>5.2} {:>7} {:>8.0} {:>6.0}",
         row.picture,
         row.downlink.name(),
@@ -204,6 +213,6 @@ fn show(row: &AirRow, json: bool) -> Result<()> {
         format!("{:.0}, {:.0}", row.age[0], row.age[1]),
         row.bits_per_s[0],
         row.bits_per_s[1]
-    );
+    ));
     Ok(())
 }

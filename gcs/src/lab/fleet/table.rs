@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use crpl_model::evaluation::chart::{self, Chart, Legend, Series, Sheet, Style};
 use crpl_model::numeric::statistics::{Mean, wilson};
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::progress;
 use crpl_sitl::program::terminal::{StopSignal, folder, positive};
 use crpl_sitl::scenario::presets;
@@ -108,7 +109,9 @@ pub fn run(args: &FleetFlags) -> Result<()> {
     let bar = progress::bar("flights", args.episodes * rows as u64);
     if !args.json {
         let (n, first) = (args.episodes, args.first_seed);
-        crpl_sitl::outln!("{}, shared B dt {b_dt}, {n} flights from seed {first}\n{}", scenario.name, head());
+        let words = format!("{}, shared B dt {b_dt}, {n} flights from seed {first}", scenario.name);
+        crpl_sitl::out!("{}", columns::wrapped(&words, 2, columns::width()));
+        put(&head());
     }
     let mut all = Vec::new();
     for controller in &args.controller {
@@ -174,6 +177,13 @@ fn row(controller: Controller, plan: &FleetPlan, vehicles: u8, flights: &[FleetS
     }
 }
 
+/// Widths of the columns of the table.
+const COLUMNS: [usize; 9] = [8, 12, 3, 9, 22, 21, 7, 15, 7];
+
+fn put(line: &str) {
+    crpl_sitl::out!("{}", columns::folded_line(line, &COLUMNS, columns::width()));
+}
+
 fn head() -> String {
     format!(
         "{:<8} {:<11} {:>2} {:>8} {:>21} {:>20} {:>6} {:>14} {:>6}",
@@ -190,7 +200,7 @@ fn show(row: &FleetRow, json: bool) -> Result<()> {
         crpl_sitl::outln!("{}", serde_json::to_string(row)?);
         return Ok(());
     }
-    crpl_sitl::outln!(
+    put(&format!(
         "{:<8} {:<11} {:>2} {:>8} {:>21} {:>20} {:>6.3} {:>14} {:>6.2}",
         row.controller.to_string(),
         row.scheduler.name(),
@@ -201,7 +211,7 @@ fn show(row: &FleetRow, json: bool) -> Result<()> {
         row.p_coll.mean,
         cell(&row.collisions, 1),
         row.power.mean
-    );
+    ));
     Ok(())
 }
 

@@ -13,6 +13,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use crpl_model::evaluation::chart;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::sim::metric::{Count, FlightOutcome, FlightScore, Metric};
 use crpl_sitl::{Scenario, out, outln};
 use serde_json::json;
@@ -126,7 +127,7 @@ fn print(flights: &[Scored], json: bool) -> Result<()> {
         outln!("{}", serde_json::to_string(&json!({ "flights": rows }))?);
         return Ok(());
     }
-    out!("{}", table(flights));
+    out!("{}", table(flights, columns::width()));
     Ok(())
 }
 
@@ -134,7 +135,7 @@ fn print(flights: &[Scored], json: bool) -> Result<()> {
 const WIDTH: usize = 12;
 
 /// The flights side by side; a number of each names it in the head, and the legend below says which it is.
-fn table(flights: &[Scored]) -> String {
+fn table(flights: &[Scored], width: Option<usize>) -> String {
     let mut text = format!("{:<40}", flights.first().map_or("", |f| f.flight.scenario.name.as_str()));
     for (n, _) in flights.iter().enumerate() {
         text += &format!("{:>WIDTH$}", format!("[{}]", n + 1));
@@ -151,11 +152,12 @@ fn table(flights: &[Scored]) -> String {
         });
     }
     row("seed", &|f| f.flight.seed.map_or("-".into(), |seed| seed.to_string()));
-    text.push('\n');
+    let room: Vec<usize> = std::iter::once(40).chain(flights.iter().map(|_| WIDTH)).collect();
+    let mut names = String::new();
     for (n, Scored { flight, .. }) in flights.iter().enumerate() {
-        text += &format!("[{}] {}, {}\n", n + 1, flight.controller, flight.path.display());
+        names += &format!("[{}] {}, {}\n", n + 1, flight.controller, flight.path.display());
     }
-    text + &ratios(flights)
+    columns::folded(&text, &room, width) + &names + &columns::wrapped(&ratios(flights), 4, width)
 }
 
 /// What those that met the same gusts have over the first.

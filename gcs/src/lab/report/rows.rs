@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use crpl_model::numeric::statistics::Mean;
+use crpl_sitl::program::columns;
 
 use super::claims::{Claim, ROLLOUTS};
 use super::quantities::{FlightQuantity, SweepQuantity};
@@ -157,19 +158,9 @@ impl VerdictRow {
     }
 }
 
-/// Words in lines of at most `width` characters; a longer word stands alone.
+/// Words in lines of at most `width` characters.
 fn wrapped(text: &str, width: usize) -> Vec<String> {
-    let mut lines: Vec<String> = Vec::new();
-    for word in text.split(' ') {
-        match lines.last_mut() {
-            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
-                line.push(' ');
-                line.push_str(word);
-            }
-            _ => lines.push(word.into()),
-        }
-    }
-    lines
+    columns::wrapped(text, 0, Some(width)).lines().map(str::to_owned).collect()
 }
 
 /// The rows as a table for a terminal of that width, and how often each verdict is in it.

@@ -3,49 +3,62 @@
 use std::fmt::Write;
 
 use crpl_model::evaluation::chart::{Chart, Ink, Series, Style};
-use crpl_sitl::Scenario;
+use crpl_sitl::{Scenario, program};
 use nalgebra::Vector2;
 
 use super::field::{PowerReach, RadioField};
 use crate::lab::figures;
 
-/// Characters along x and y: a character is twice as high as wide.
+/// Characters along x where there is room, and at least; along y half of them, as a character is twice as high as wide.
 const COLUMNS: usize = 72;
-const ROWS: usize = 36;
+const LEAST: usize = 24;
+/// Characters beside them.
+const FRAME: usize = 7;
 
 /// What the characters mean, at most 80 columns a line.
 const KEY: &str = "S start  G goal  B base station  # obstacle\n\
                    . in an obstacle's shadow, low power still reaches\n\
                    - low power fails, high power reaches   = no power reaches\n";
 
-/// The world by characters: north is up, east is right.
+/// The world by characters, at most `width` of them in a line: north is up, east is right.
 #[must_use]
-pub fn text(scenario: &Scenario) -> String {
+pub fn text(scenario: &Scenario, width: Option<usize>) -> String {
     let field = RadioField::of(scenario);
-    let mut rows: Vec<Vec<char>> =
-        (0..ROWS).map(|row| (0..COLUMNS).map(|column| glyph(&field, place(column, row))).collect()).collect();
+    let columns = width.map_or(COLUMNS, |width| width.saturating_sub(FRAME).clamp(LEAST, COLUMNS));
+    let grid = Grid { columns, rows: columns / 2 };
+    let mut rows: Vec<Vec<char>> = (0..grid.rows)
+        .map(|row| (0..columns).map(|column| glyph(&field, grid.place(column, row))).collect())
+        .collect();
     for (at, mark) in [(scenario.channel.base_station, 'B'), (scenario.goal, 'G'), (scenario.start, 'S')] {
-        let (column, row) = cell(at);
+        let (column, row) = grid.cell(at);
         rows[row][column] = mark;
     }
-    let mut out = format!("   1 +{}+\n", "-".repeat(COLUMNS));
+    let mut out = format!("   1 +{}+\n", "-".repeat(columns));
     for (n, row) in rows.iter().enumerate() {
-        let label = if n == ROWS / 2 { "y" } else { "" };
+        let label = if n == grid.rows / 2 { "y" } else { "" };
         let _ = writeln!(out, "{label:>4} |{}|", row.iter().collect::<String>());
     }
-    let _ = writeln!(out, "   0 +{}+", "-".repeat(COLUMNS));
-    let _ = writeln!(out, "     0{:^width$}1", "x", width = COLUMNS);
-    out + KEY
+    let _ = writeln!(out, "   0 +{}+", "-".repeat(columns));
+    let _ = writeln!(out, "     0{:^columns$}1", "x");
+    out + &program::columns::wrapped(KEY, 2, width)
 }
 
-fn place(column: usize, row: usize) -> Vector2<f64> {
-    let part = |n: usize, of: usize| (n as f64 + 0.5) / of as f64;
-    Vector2::new(part(column, COLUMNS), 1.0 - part(row, ROWS))
+/// The characters of a drawing.
+struct Grid {
+    columns: usize,
+    rows: usize,
 }
 
-fn cell(place: Vector2<f64>) -> (usize, usize) {
-    let index = |part: f64, of: usize| ((part * of as f64) as usize).min(of - 1);
-    (index(place.x, COLUMNS), index(1.0 - place.y, ROWS))
+impl Grid {
+    fn place(&self, column: usize, row: usize) -> Vector2<f64> {
+        let part = |n: usize, of: usize| (n as f64 + 0.5) / of as f64;
+        Vector2::new(part(column, self.columns), 1.0 - part(row, self.rows))
+    }
+
+    fn cell(&self, place: Vector2<f64>) -> (usize, usize) {
+        let index = |part: f64, of: usize| ((part * of as f64) as usize).min(of - 1);
+        (index(place.x, self.columns), index(1.0 - place.y, self.rows))
+    }
 }
 
 fn glyph(field: &RadioField<'_>, at: Vector2<f64>) -> char {
@@ -112,15 +125,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_drawing_has_its_marks_and_fits_80_columns() {
+    fn the_drawing_has_its_marks_and_fits_the_terminal() {
         let scenario = Scenario::named("narrow").unwrap();
-        let drawn = text(&scenario);
-        assert!(drawn.lines().all(|line| line.chars().count() <= 80), "{drawn}");
-        let lines: Vec<&str> = drawn.lines().collect();
-        let at = |mark: char| lines[1..=ROWS].iter().position(|line| line.contains(mark)).unwrap();
-        // North is up.
-        let (obstacle, base) = (at('#'), scenario.channel.base_station.y);
-        assert!(obstacle < ROWS && cell(scenario.channel.base_station).1 == at('B'), "{base}");
-        assert!(drawn.contains('=') || drawn.contains('-'));
+        let marks = |width: Option<usize>| {
+            let drawn = text(&scenario, width);
+            let least = width.unwrap_or(80);
+            assert!(drawn.lines().all(|line| line.chars().count() <= least), "{drawn}");
+            let rows: Vec<&str> = drawn.lines().skip(1).take_while(|line| line.ends_with('|')).collect();
+            let at = |mark: char| rows.iter().position(|line| line.contains(mark)).unwrap();
+            // North is up.
+            let grid = Grid { columns: 2 * rows.len(), rows: rows.len() };
+            assert_eq!(grid.cell(scenario.channel.base_station).1, at('B'));
+            assert!(at('#') < at('B') && (drawn.contains('=') || drawn.contains('-')));
+            rows.len()
+        };
+        assert_eq!([None, Some(80), Some(60), Some(40)].map(marks), [36, 36, 26, 16]);
     }
 }

@@ -18,6 +18,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use crpl_model::evaluation::chart;
 use crpl_sitl::program::camera::CameraFlag;
+use crpl_sitl::program::columns;
 use crpl_sitl::program::files::write_whole;
 use crpl_sitl::scenario::presets::PRESETS;
 use crpl_sitl::{Scenario, out, outln};
@@ -86,7 +87,8 @@ pub fn run(args: &Scenarios) -> Result<()> {
     match &args.command {
         ScenarioCommand::List => {
             for preset in PRESETS {
-                outln!("{:<18}{}", preset.name, preset.about);
+                let line = format!("{:<18}{}", preset.name, preset.about);
+                out!("{}", columns::wrapped(&line, 18, columns::width()));
             }
             Ok(())
         }
@@ -102,8 +104,9 @@ fn show(args: &ShowScenario) -> Result<()> {
     if args.json {
         outln!("{}", json!({ "scenario": scenario, "straight_line": line }));
     } else {
+        let width = columns::width();
         outln!("{}", scenario.name);
-        out!("{}{}", draw::text(&scenario), told(&line));
+        out!("{}{}", draw::text(&scenario, width), columns::wrapped(&told(&line), 2, width));
     }
     if let Some(dir) = &args.out {
         std::fs::create_dir_all(dir).with_context(|| format!("creating {}", dir.display()))?;

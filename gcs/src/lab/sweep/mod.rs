@@ -221,8 +221,16 @@ fn fly(
     feed: Option<&Feed>,
 ) -> Result<Vec<SweepEpisode>> {
     let plan = &folder.plan;
-    let mut contenders = Vec::new();
-    for point in plan.grid() {
+    let (grid, mut contenders) = (plan.grid(), Vec::new());
+    let total = grid.len() * plan.controllers.len() * plan.seeds_of(folder.shard).count();
+    let tell = |done: u64, text: String| {
+        if let Some(feed) = feed {
+            feed.send(&WatchEvent::Progress { done, total: total as u64, text });
+        }
+    };
+    // A controller may compute for long before its first flight.
+    tell(done.len() as u64, "making the controllers".into());
+    for point in grid {
         let scenario = plan.scenario_at(point)?;
         for controller in &plan.controllers {
             contenders.push((point, Contender::new(models, *controller, &scenario)?));
@@ -233,7 +241,6 @@ fn fly(
         .seeds_of(folder.shard)
         .flat_map(|seed| contenders.iter().map(move |contender| (contender, seed)))
         .collect();
-    let total = units.len();
     let is_done: std::collections::HashSet<_> =
         done.iter().map(|e| (e.point.bits(), e.controller, e.seed)).collect();
     units
@@ -252,10 +259,7 @@ fn fly(
             let episode = SweepEpisode::fly(contender, *point, seed)?;
             journal.add(&episode)?;
             bar.inc(1);
-            if let Some(feed) = feed {
-                let text = format!("{} at {}", contender.controller, plan.at(*point));
-                feed.send(&WatchEvent::Progress { done: bar.position(), total: total as u64, text });
-            }
+            tell(bar.position(), format!("{} at {}", contender.controller, plan.at(*point)));
             Ok(Some(episode))
         })
         .collect();

@@ -126,6 +126,9 @@ pub fn by_name(rows: &[LinkRow<'_>]) -> Value {
     Value::Object(counts.collect())
 }
 
+/// Widths of the columns of [`table`].
+pub const COLUMNS: [usize; 10] = [40, 10, 8, 10, 8, 8, 7, 7, 10, 16];
+
 /// A table for people: one line a link, rates over the last `period`.
 #[must_use]
 pub fn table(rows: &[LinkRow<'_>], before: &[(u64, u64)], period: Duration) -> String {

@@ -26,6 +26,7 @@ use anyhow::Result;
 use crpl_sitl::link::dialect::{HEARTBEAT_DATA, MavAutopilot, MavState, MavType};
 use crpl_sitl::link::encoder::Encoder;
 use crpl_sitl::link::{BRIDGE, STATION_SYSTEM};
+use crpl_sitl::program::columns;
 use crpl_sitl::program::terminal::{interrupted, say, seconds};
 use tokio::time::{Instant, interval_at};
 
@@ -74,6 +75,11 @@ pub struct Bridge {
 /// How often the log and the timestamps of signatures are written.
 const SAVE: Duration = Duration::from_secs(1);
 
+/// Prints a table of the links.
+fn show(table: &str) {
+    say(&columns::folded(table, &counters::COLUMNS, columns::width()));
+}
+
 /// Routes until Ctrl-C, then prints the counters.
 ///
 /// # Errors
@@ -111,7 +117,7 @@ pub async fn run(args: Bridge) -> Result<()> {
     });
     route(&mut hub, scrapes, Duration::from_secs(args.every), &mut watched).await?;
     hub.close().await;
-    say(&counters::table(&hub.rows(), &[], hub.elapsed()));
+    show(&counters::table(&hub.rows(), &[], hub.elapsed()));
     if let Some(mut page) = page {
         page.hurry();
         page.close("interrupted", counters::by_name(&hub.rows())).await;
@@ -196,7 +202,7 @@ async fn route(
                 let since = printed.elapsed();
                 if !period.is_zero() && since >= period {
                     printed = Instant::now();
-                    say(&counters::table(&hub.rows(), &before, since));
+                    show(&counters::table(&hub.rows(), &before, since));
                     before = hub.rows().iter().map(|r| (r.counters.received(), r.counters.sent_frames)).collect();
                 }
             }

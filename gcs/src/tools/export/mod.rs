@@ -1,4 +1,4 @@
-//! `gcs export`: a flight as a table, a track on a map, or a log for Foxglove and Rerun.
+//! `gcs export`: a flight as a table, a track on a map, or a log for Foxglove.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -49,9 +49,9 @@ pub enum ExportFormat {
     Gpx,
     /// Track, base station, obstacles and outages for maps
     Geojson,
-    /// Positions and records for Foxglove and Rerun
+    /// Positions and records for Foxglove
     Mcap,
-    /// Refused: Rerun's crate needs some 500 others to build; Rerun opens the mcap file
+    /// Refused: examples/python/to_rerun.py writes it, with Rerun's own library
     Rrd,
 }
 
@@ -80,7 +80,8 @@ impl ExportFormat {
             Self::Geojson => Ok(maps::geojson(track).into_bytes()),
             Self::Mcap => foxglove::mcap(track),
             Self::Rrd => bail!(
-                "--to rrd: this program does not write Rerun's own files; Rerun opens what --to mcap writes"
+                "--to rrd: Rerun's own library writes its files: pip install rerun-sdk, then, in the sources of \
+                 this program, python examples/python/to_rerun.py RUN"
             ),
         }
     }

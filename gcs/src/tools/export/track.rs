@@ -4,14 +4,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use crpl_sitl::Scenario;
+use crpl_sitl::camera::{Frame, SIDE};
+use crpl_sitl::link::image::{frame_from_png, png_from_frame};
 use crpl_sitl::link::messages::View;
 use crpl_sitl::link::messages::telemetry::{GlobalPositionInt, LocalPositionNed};
 use crpl_sitl::link::tlog::TlogReader;
 use crpl_sitl::sim::record::Record;
 use crpl_sitl::vehicle::geodesy;
+use serde_json::Value;
 
 use crate::tools::{replay, tlog};
+use crate::watch::document;
 
 /// Where a vehicle was.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +47,9 @@ pub struct FlightTrack {
     pub records: Vec<Record>,
     /// The world of the records.
     pub scenario: Option<Scenario>,
+    /// The pictures that the station received, in the order of time: s since the beginning, and a PNG whose first row
+    /// is the field's upper edge. Empty where there is no `flight.html` beside the records.
+    pub pictures: Vec<(f64, Vec<u8>)>,
 }
 
 impl FlightTrack {
@@ -57,6 +66,7 @@ impl FlightTrack {
             let records = replay::records(&String::from_utf8_lossy(&bytes)).with_context(name)?;
             let mut track = Self::of_records(records, scenario);
             track.begins_us = begin_of(&file.with_file_name("flight.tlog"));
+            track.pictures = pictures_of(&file.with_file_name("flight.html"), &track);
             track
         } else {
             Self::of_tlog(&bytes).with_context(name)?
@@ -87,7 +97,7 @@ impl FlightTrack {
             samples: records.iter().map(sample).collect(),
             records,
             scenario: Some(scenario),
-            begins_us: 0,
+            ..Self::default()
         }
     }
 
@@ -130,6 +140,27 @@ impl FlightTrack {
 
 fn degrees(place: [i32; 2]) -> [f64; 2] {
     place.map(|x| f64::from(x) / 1e7)
+}
+
+/// The pictures inside a `flight.html`; none if there is no such file.
+fn pictures_of(path: &Path, track: &FlightTrack) -> Vec<(f64, Vec<u8>)> {
+    let html = std::fs::read_to_string(path).unwrap_or_default();
+    let interval_s = track.scenario.as_ref().map_or(0.0, |scenario| scenario.scale.interval_s);
+    let lines = document::lines_of(&html).unwrap_or_default();
+    lines
+        .iter()
+        .filter_map(|line| picture_of(line))
+        .map(|(tick, png)| (tick as f64 * interval_s, png))
+        .collect()
+}
+
+/// The picture in a line of the feed, if there is one, the right way up: its first row was the field's lower edge.
+fn picture_of(line: &str) -> Option<(u64, Vec<u8>)> {
+    let line: Value = serde_json::from_str(line).ok().filter(|line: &Value| line["kind"] == "picture")?;
+    let (tick, frame) = frame_from_png(&STANDARD.decode(line["png"].as_str()?).ok()?).ok()?;
+    let rows = frame.rgb().chunks(3 * SIDE).rev();
+    let png = png_from_frame(&Frame::from_rgb(rows.flatten().copied().collect())?, tick).ok()?;
+    Some((tick.0, png))
 }
 
 /// The first stamp of a log, if there is one.

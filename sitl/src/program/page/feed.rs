@@ -358,9 +358,14 @@ impl Feed {
 
     /// Adds a line and wakes who reads; waits for nobody.
     pub fn send(&self, event: &WatchEvent) {
-        if let Ok(text) = serde_json::to_string(event) {
-            self.push(text, event.weight(), event.tick());
-        }
+        Self::send_to([self], event);
+    }
+
+    /// Adds a line to some feeds, which share it.
+    pub fn send_to<'a>(feeds: impl IntoIterator<Item = &'a Self>, event: &WatchEvent) {
+        let Ok(text) = serde_json::to_string(event) else { return };
+        let text: Arc<str> = text.into();
+        feeds.into_iter().for_each(|feed| feed.push(text.clone(), event.weight(), event.tick()));
     }
 
     /// Adds a line that was told before, such as one of a `flight.html`.
@@ -372,15 +377,15 @@ impl Feed {
             Some("picture" | "belief") => LineWeight::Bulk,
             _ => LineWeight::Line,
         };
-        self.push(line.to_owned(), weight, value["tick"].as_u64().unwrap_or_default());
+        self.push(line.into(), weight, value["tick"].as_u64().unwrap_or_default());
     }
 
-    fn push(&self, text: String, weight: LineWeight, tick: u64) {
+    fn push(&self, text: Arc<str>, weight: LineWeight, tick: u64) {
         let mut history = self.history();
         let number = history.next;
         history.next += 1;
         history.bytes += text.len();
-        history.lines.push_back(FeedLine { number, weight, tick, text: text.into() });
+        history.lines.push_back(FeedLine { number, weight, tick, text });
         history.trim(self.0.capacity);
         drop(history);
         self.0.news.send_replace(number + 1);
@@ -449,6 +454,16 @@ mod tests {
         assert_eq!(feed.from(0, 1).len(), 1);
         assert!(feed.from(2, usize::MAX).is_empty());
         assert_eq!(*feed.news().borrow(), 2);
+    }
+
+    #[test]
+    fn feeds_share_what_is_told_to_all() {
+        let feeds = [Feed::default(), Feed::default()];
+        feeds[1].log("info", 0.0, "alone");
+        Feed::send_to(&feeds, &picture(3));
+        let last = |feed: &Feed| feed.all().pop().unwrap();
+        assert!(Arc::ptr_eq(&last(&feeds[0]).text, &last(&feeds[1]).text));
+        assert_eq!((last(&feeds[0]).number, last(&feeds[1]).number, last(&feeds[0]).tick), (0, 1, 3));
     }
 
     #[test]

@@ -13,8 +13,8 @@
 
 use std::convert::Infallible;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -35,6 +35,7 @@ use tokio::time::timeout;
 use super::control::{PageControl, VehicleAction};
 use super::document;
 use super::feed::{Feed, FeedLine};
+use crate::program::priority;
 
 /// Bytes of lines that a reader is given at once.
 const CHUNK: usize = 64 << 10;
@@ -44,6 +45,9 @@ const READERS: usize = 32;
 
 /// Silence after which a reader gets a comment, which tells either side that the other is there.
 const PULSE: Duration = Duration::from_secs(10);
+
+/// How long a reader is not woken again: what is told meanwhile comes at once, 20 times a second.
+const BATCH: Duration = Duration::from_millis(50);
 
 /// How long the last readers may take for the last lines.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -71,8 +75,34 @@ struct WatchSite {
     address: SocketAddr,
     control: Option<PageControl>,
     readers: AtomicUsize,
+    /// What was made last; readers at the same place share it.
+    chunk: Mutex<EventChunk>,
     /// Whether the server is about to end: readers get what there is, and no more.
     closing: watch::Receiver<bool>,
+}
+
+/// Lines as server-sent events.
+#[derive(Debug, Clone, Default)]
+struct EventChunk {
+    /// Number of the first line.
+    from: u64,
+    /// Number of the line after them; `from` where there is none.
+    next: u64,
+    bytes: Bytes,
+}
+
+impl WatchSite {
+    /// The lines from `from` on that a reader is given at once; `None` if there is none yet.
+    fn chunk(&self, from: u64) -> Option<EventChunk> {
+        // A chunk is there as a whole when somebody panics.
+        let mut chunk = self.chunk.lock().unwrap_or_else(PoisonError::into_inner);
+        if chunk.from != from || chunk.next == from {
+            let lines = self.feed.from(from, CHUNK);
+            let next = lines.last()?.number + 1;
+            *chunk = EventChunk { from, next, bytes: events_of(&lines) };
+        }
+        Some(chunk.clone())
+    }
 }
 
 impl WatchServer {
@@ -88,8 +118,8 @@ impl WatchServer {
         let (stop, stopped) = oneshot::channel();
         let (close, closing) = watch::channel(false);
         let page = document::page().into();
-        let site = WatchSite { feed, page, address, control, readers: AtomicUsize::new(0), closing };
-        let site = Arc::new(site);
+        let (readers, chunk) = (AtomicUsize::new(0), Mutex::default());
+        let site = Arc::new(WatchSite { feed, page, address, control, readers, chunk, closing });
         let work = async move {
             let Ok(listener) = TcpListener::from_std(listener) else { return };
             let router = router(&site);
@@ -102,6 +132,7 @@ impl WatchServer {
             let _ = serve.await;
         };
         let thread = std::thread::Builder::new().name("watch".into()).spawn(move || {
+            priority::give_way();
             runtime.block_on(work);
         })?;
         Ok(Self { address, stop: Some(stop), thread: Some(thread) })
@@ -229,9 +260,8 @@ async fn events(State(site): State<Arc<WatchSite>>, headers: HeaderMap) -> Respo
 async fn next_chunk(site: &WatchSite, from: u64) -> Option<(Bytes, u64)> {
     let (mut news, mut closing) = (site.feed.news(), site.closing.clone());
     loop {
-        let lines = site.feed.from(from, CHUNK);
-        if let Some(last) = lines.last() {
-            return Some((events_of(&lines), last.number + 1));
+        if let Some(chunk) = site.chunk(from) {
+            return Some((chunk.bytes, chunk.next));
         }
         if *closing.borrow() {
             return None;
@@ -245,6 +275,8 @@ async fn next_chunk(site: &WatchSite, from: u64) -> Option<(Bytes, u64)> {
         if timeout(PULSE, woken).await.is_err() {
             return Some((Bytes::from_static(b": nothing new\n\n"), from));
         }
+        // The end of the server is no reason to wait.
+        let _ = timeout(BATCH, closing.wait_for(|closing| *closing)).await;
     }
 }
 
@@ -291,6 +323,27 @@ async fn steer(State(site): State<Arc<WatchSite>>, request: Request) -> Response
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn readers_at_one_place_share_what_they_are_given() {
+        let feed = Feed::default();
+        let site = WatchSite {
+            feed: feed.clone(),
+            page: Bytes::new(),
+            address: "127.0.0.1:8080".parse().unwrap(),
+            control: None,
+            readers: AtomicUsize::new(0),
+            chunk: Mutex::default(),
+            closing: watch::channel(false).1,
+        };
+        assert!(site.chunk(0).is_none());
+        feed.log("info", 0.0, "a");
+        let chunks = [0, 0].map(|from| site.chunk(from).unwrap());
+        assert_eq!(chunks[0].bytes.as_ptr(), chunks[1].bytes.as_ptr());
+        assert!(chunks[0].bytes.starts_with(b"id: 0\ndata: {") && site.chunk(1).is_none());
+        feed.log("info", 0.0, "b");
+        assert!(site.chunk(1).unwrap().bytes.starts_with(b"id: 1\n") && site.chunk(0).unwrap().next == 2);
+    }
 
     #[test]
     fn only_this_machines_addresses_are_this_server() {

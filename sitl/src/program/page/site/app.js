@@ -166,11 +166,18 @@ function showHello() {
   find("#title").title = [scenario.name, hello?.revision].filter(Boolean).join(", ") + seed;
   document.title = hello?.title ?? "CRPL";
   find("#field-title").textContent = store.local ? "Map" : "Field";
-  find("#picture-up").textContent = store.geo?.heading ? "up as in the field" : "north up";
+  find("#north").hidden = !store.geo?.heading;
+  turnPicture();
   find("#control").hidden = !(hello?.control && page.live);
   find("#rate-title").textContent = hello?.rate_unit ? `Rate, ${hello.rate_unit}` : "Rate";
   showScale();
   showVehicles();
+}
+
+/** The picture stands as the field does. */
+function turnPicture() {
+  find("#picture-up").textContent = field.angle === (store.geo?.heading ?? 0) ? "north up" : "up as in the field";
+  panels.turnPicture(field.angle);
 }
 
 function showScale() {
@@ -308,6 +315,7 @@ const KEYS = {
   "=": () => nextSpeed(1),
   "-": () => nextSpeed(-1),
   f: () => setFollow(!playback.follow),
+  n: () => find("#north:not([hidden])")?.click(),
   t: () => find("#theme").click(),
   "?": () => find("#help").click(),
 };
@@ -346,6 +354,7 @@ find("#help").onclick = () => find("#help-dialog").showModal();
 for (const box of document.querySelectorAll("[data-show]")) {
   box.onchange = () => {
     field.show[box.dataset.show] = box.checked;
+    turnPicture();
     page.drawn = "";
   };
 }

@@ -28,7 +28,7 @@ class Chart {
       height: height * rem * Math.max(1, Math.min(1.5, innerHeight / (60 * rem))),
       legend: { show: false },
       cursor: { drag: { x: false, y: false }, points: { show: false }, y: false },
-      padding: [0.4 * rem, 0.5 * rem, 0, 0],
+      padding: [0.4 * rem, 1.1 * rem, 0, 0],
       scales: { x: { time: false, range: xRange }, y: { range, distr: log ? 3 : 1 } },
       axes: [
         { ...axis, size: 1.5 * rem, space: 3.5 * rem },
@@ -135,7 +135,7 @@ class Strips {
           steps(u, high, theme.high);
         },
         pick,
-        splits: () => [0, ...store.powers],
+        splits: () => store.powers,
         height: 4.6,
       }),
       rate: new Chart(box("rate"), {

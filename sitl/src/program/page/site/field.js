@@ -40,7 +40,7 @@ class FieldView {
     this.trails = new Layer();
     this.drawn = new Map();
     this.shadow = new Layer();
-    this.show = { shadow: true, fan: true, future: true, names: true };
+    this.show = { shadow: true, fan: true, future: true, names: true, north: true };
     this.size = [0, 0];
   }
 
@@ -53,12 +53,17 @@ class FieldView {
     this.rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
   }
 
+  /** By how much the field is turned so that north is up, in degrees clockwise. */
+  get angle() {
+    return this.show.north ? (this.store.geo?.heading ?? 0) : 0;
+  }
+
   /** The world's bounds and the unit of length in metres (0 if there is none). */
   project() {
     const bounds = this.store.local ? localBounds(this.store) : [0, 0, 1, 1];
     const [width, height] = this.size;
     const pad = 0.7 * this.rem;
-    this.map = new Projection(bounds, [pad, pad, width - 2 * pad, height - 2 * pad]);
+    this.map = new Projection(bounds, [pad, pad, width - 2 * pad, height - 2 * pad], this.angle);
     this.metres = this.store.local ? 1 : (this.store.scenario.scale?.metres_per_unit ?? 0);
   }
 
@@ -73,14 +78,30 @@ class FieldView {
     const context = this.canvas.getContext("2d");
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.drawImage(this.ground.canvas, 0, 0);
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.stand(context);
     if (flight) this.obstacles(context, flight, tick);
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.drawImage(this.trails.canvas, 0, 0);
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.stand(context);
     if (flight && this.show.future) this.future(context, flight, tick);
     if (flight) this.belief(context, flight, tick);
     for (const other of this.store.flights.values()) this.vehicle(context, other, tick, other.id === selected);
+  }
+
+  /** What is drawn next lies in the field. */
+  stand(context) {
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.map.turn(context);
+  }
+
+  /** Draws something at (x, y) that stands upright, however the field is turned. */
+  upright(context, x, y, draw) {
+    const { a, b } = context.getTransform();
+    context.save();
+    context.translate(x, y);
+    context.rotate(-Math.atan2(b, a));
+    draw();
+    context.restore();
   }
 
   // ---- the ground: shadow, contours, grid, places ----
@@ -90,13 +111,14 @@ class FieldView {
     const field = index >= 0 ? flight.fields.values[index] : null;
     const { store, map } = this;
     const key = [
-      field ? `${flight.id}:${field.tick}:${field.power}` : "", map.bounds, this.theme.name,
+      field ? `${flight.id}:${field.tick}:${field.power}` : "", map.bounds, map.angle, this.theme.name,
       store.seen.hello, store.seen.geo, this.rem, this.show.names,
     ].join("|");
     const context = this.ground.begin(key, ...this.size, this.ratio);
     if (!context) return;
     context.fillStyle = this.theme.panel;
     context.fillRect(0, 0, ...this.size);
+    map.turn(context);
     if (!store.local) {
       context.fillStyle = field ? this.theme.panel : this.theme.snrHigh;
       context.fillRect(map.x(0), map.y(1), map.scale, map.scale);
@@ -105,6 +127,7 @@ class FieldView {
     this.grid(context);
     if (store.buildings.length > 0) this.buildings(context);
     this.places(context);
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     this.scaleBar(context);
   }
 
@@ -154,7 +177,7 @@ class FieldView {
     const [nearest] = segments.toSorted((a, b) => distance(a) - distance(b));
     if (!nearest) return;
     const [x, y] = place(nearest[0], nearest[1]);
-    this.text(context, name, x + 5, y + 4, { colour: this.theme.contour, size: 0.75 });
+    this.text(context, name, x, y, { by: [5, 4], colour: this.theme.contour, size: 0.75 });
   }
 
   /** Red, green, blue of an SNR in dB. */
@@ -223,25 +246,28 @@ class FieldView {
       context.beginPath();
       context.arc(x, y, Math.max(4, map.scale * (radius ?? 0)), 0, 2 * Math.PI);
       context.stroke();
-      this.text(context, "goal", x, y + Math.max(4, map.scale * (radius ?? 0)) + 1.1 * this.rem, { align: "center" });
+      const below = Math.max(4, map.scale * (radius ?? 0)) + 1.1 * this.rem;
+      this.text(context, "goal", x, y, { by: [0, below], align: "center" });
     }
     if (start) {
       const [x, y] = [map.x(start[0]), map.y(start[1])];
       context.strokeStyle = theme.ink;
       context.lineWidth = 1.5;
-      context.strokeRect(x - size / 2, y - size / 2, size, size);
-      this.text(context, "start", x, y + 1.5 * this.rem, { align: "center" });
+      this.upright(context, x, y, () => context.strokeRect(-size / 2, -size / 2, size, size));
+      this.text(context, "start", x, y, { by: [0, 1.5 * this.rem], align: "center" });
     }
     const station = channel?.base_station;
     if (station) {
       const [x, y] = [map.x(station[0]), map.y(station[1])];
       context.fillStyle = theme.ink;
-      context.beginPath();
-      context.moveTo(x, y - size);
-      context.lineTo(x + size, y + 0.8 * size);
-      context.lineTo(x - size, y + 0.8 * size);
-      context.fill();
-      this.text(context, "base station", x + 1.6 * size, y + 0.8 * size);
+      this.upright(context, x, y, () => {
+        context.beginPath();
+        context.moveTo(0, -size);
+        context.lineTo(size, 0.8 * size);
+        context.lineTo(-size, 0.8 * size);
+        context.fill();
+      });
+      this.text(context, "base station", x, y, { by: [1.6 * size, 0.8 * size] });
     }
   }
 
@@ -250,8 +276,9 @@ class FieldView {
     const { map, theme, rem } = this;
     const length = niceBelow((map.bounds[2] - map.bounds[0]) * this.metres / 4);
     const pixels = (length / this.metres) * map.scale;
-    const right = map.x(map.bounds[2]) - 0.8 * rem;
-    const y = map.y(map.bounds[1]) - 0.8 * rem;
+    const { centre, reach } = map;
+    const right = centre[0] + reach[0] - 0.8 * rem;
+    const y = centre[1] + reach[1] - 0.8 * rem;
     context.strokeStyle = theme.ink;
     context.lineWidth = 1.5;
     context.beginPath();
@@ -260,12 +287,12 @@ class FieldView {
     context.lineTo(right, y);
     context.lineTo(right, y - 4);
     context.stroke();
-    this.text(context, length >= 1000 ? `${length / 1000} km` : `${length} m`, right - pixels / 2, y - 5,
-      { align: "center", size: 0.75 });
-    const [x, top] = [map.x(map.bounds[2]) - 1.3 * rem, map.y(map.bounds[3]) + 0.9 * rem];
+    this.text(context, length >= 1000 ? `${length / 1000} km` : `${length} m`, right - pixels / 2, y,
+      { by: [0, -5], align: "center", size: 0.75 });
+    const [x, top] = [centre[0] + reach[0] - 1.3 * rem, centre[1] - reach[1] + 0.9 * rem];
     context.save();
     context.translate(x, top + 0.75 * rem);
-    context.rotate((-(this.store.geo?.heading ?? 0) * Math.PI) / 180);
+    context.rotate(((map.angle - (this.store.geo?.heading ?? 0)) * Math.PI) / 180);
     context.beginPath();
     context.moveTo(0, 0.75 * rem);
     context.lineTo(0, -0.75 * rem);
@@ -274,21 +301,22 @@ class FieldView {
     context.lineTo(3.5, 5 - 0.75 * rem);
     context.stroke();
     context.restore();
-    this.text(context, "N", x, top + 2.5 * rem, { align: "center", size: 0.75 });
+    this.text(context, "N", x, top, { by: [0, 2.5 * rem], align: "center", size: 0.75 });
   }
 
-  text(context, words, x, y, { align = "left", colour = this.theme.ink, size = 0.82, weight = 400 } = {}) {
+  /** Words at `by` pixels from (x, y), upright. */
+  text(context, words, x, y, { by = [0, 0], align = "left", colour = this.theme.ink, size = 0.82, weight = 400 } = {}) {
     if (!this.show.names) return;
-    context.save();
-    context.font = `${weight} ${size * this.rem}px system-ui, sans-serif`;
-    context.textAlign = align;
-    context.setLineDash([]);
-    context.lineWidth = 3;
-    context.strokeStyle = this.theme.halo;
-    context.strokeText(words, x, y);
-    context.fillStyle = colour;
-    context.fillText(words, x, y);
-    context.restore();
+    this.upright(context, x, y, () => {
+      context.font = `${weight} ${size * this.rem}px system-ui, sans-serif`;
+      context.textAlign = align;
+      context.setLineDash([]);
+      context.lineWidth = 3;
+      context.strokeStyle = this.theme.halo;
+      context.strokeText(words, ...by);
+      context.fillStyle = colour;
+      context.fillText(words, ...by);
+    });
   }
 
   // ---- what moves ----
@@ -321,9 +349,12 @@ class FieldView {
     const { flights, seen } = this.store;
     const until = Math.floor(tick) - 1;
     if ([...this.drawn].some(([id, at]) => (flights.get(id)?.record.index(until) ?? -1) < at)) this.trails.key = "";
-    const key = [selected, this.map.bounds, this.theme.name, seen.hello].join("|");
+    const key = [selected, this.map.bounds, this.map.angle, this.theme.name, seen.hello].join("|");
     const fresh = this.trails.begin(key, ...this.size, this.ratio);
-    if (fresh) this.drawn.clear();
+    if (fresh) {
+      this.map.turn(fresh);
+      this.drawn.clear();
+    }
     const context = fresh ?? this.trails.canvas.getContext("2d");
     const ordered = [...flights.values()].sort((a, b) => (a.id === selected) - (b.id === selected));
     for (const { id, record } of ordered) {
@@ -362,16 +393,18 @@ class FieldView {
   }
 
   cross(context, x, y, size) {
-    for (const [colour, width] of [[this.theme.halo, 4.5], [this.theme.ink, 1.8]]) {
-      context.strokeStyle = colour;
-      context.lineWidth = width;
-      context.beginPath();
-      context.moveTo(x - size, y - size);
-      context.lineTo(x + size, y + size);
-      context.moveTo(x - size, y + size);
-      context.lineTo(x + size, y - size);
-      context.stroke();
-    }
+    this.upright(context, x, y, () => {
+      for (const [colour, width] of [[this.theme.halo, 4.5], [this.theme.ink, 1.8]]) {
+        context.strokeStyle = colour;
+        context.lineWidth = width;
+        context.beginPath();
+        context.moveTo(-size, -size);
+        context.lineTo(size, size);
+        context.moveTo(-size, size);
+        context.lineTo(size, -size);
+        context.stroke();
+      }
+    });
   }
 
   /** What was flown after the cursor, thin and dotted. */
@@ -466,7 +499,7 @@ class FieldView {
     context.stroke();
     if (line.outage) this.cross(context, px, py, size);
     if (this.store.flights.size > 1) {
-      this.text(context, String(flight.id), px + size + 3, py - size, { weight: chosen ? 700 : 400 });
+      this.text(context, String(flight.id), px, py, { by: [size + 3, -size], weight: chosen ? 700 : 400 });
     }
   }
 }

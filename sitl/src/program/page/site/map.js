@@ -1,17 +1,32 @@
 "use strict";
-// Where things lie on the canvas: the field's square, or metres round an origin. North is up in both.
+// Where things lie on the canvas: the field's square, or metres round an origin.
 
-/** From the world to the canvas, in CSS pixels. */
+/** From the world to the canvas, in CSS pixels. `x` and `y` are for a context that has been turned. */
 class Projection {
-  /** `bounds` is [west, south, east, north] in the world's unit, `box` is [x, y, width, height]. */
-  constructor(bounds, box) {
+  /** `bounds` is [west, south, east, north] in the world's unit, `box` is [x, y, width, height], `angle` is by how
+      much the world is turned in the box, in degrees clockwise. */
+  constructor(bounds, box, angle = 0) {
     const [west, south, east, north] = bounds;
     const [x, y, width, height] = box;
     this.bounds = bounds;
-    this.box = box;
-    this.scale = Math.min(width / (east - west), height / (north - south));
-    this.left = x + (width - this.scale * (east - west)) / 2 - this.scale * west;
-    this.base = y + (height + this.scale * (north - south)) / 2 + this.scale * south;
+    this.angle = angle;
+    this.centre = [x + width / 2, y + height / 2];
+    const [cos, sin] = [Math.cos, Math.sin].map((of) => Math.abs(of((angle * Math.PI) / 180)));
+    const [wide, high] = [east - west, north - south];
+    const across = [wide * cos + high * sin, wide * sin + high * cos];
+    this.scale = Math.min(width / across[0], height / across[1]);
+    /** Half the width and the height of what is drawn. */
+    this.reach = across.map((length) => (this.scale * length) / 2);
+    this.left = x + (width - this.scale * wide) / 2 - this.scale * west;
+    this.base = y + (height + this.scale * high) / 2 + this.scale * south;
+  }
+
+  /** Turns what is drawn from now on. */
+  turn(context) {
+    if (this.angle === 0) return;
+    context.translate(...this.centre);
+    context.rotate((this.angle * Math.PI) / 180);
+    context.translate(-this.centre[0], -this.centre[1]);
   }
 
   x(east) {

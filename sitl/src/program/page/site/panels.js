@@ -42,10 +42,11 @@ function fillList(list, pairs) {
   });
 }
 
-/** Pairs of a name and a shown value; what lies one level deeper carries both names. Long texts are left out. */
+/** Pairs of a name, which may be broken behind an underscore, and a shown value; what lies one level deeper carries both
+    names. Long texts are left out. */
 function flat(name, value, depth = 0) {
   if (typeof value === "string" && value.length > LONG_TEXT) return [];
-  if (value === null || typeof value !== "object") return [[name, shown(value, 4)]];
+  if (value === null || typeof value !== "object") return [[name.replaceAll("_", "_\u200b"), shown(value, 4)]];
   if (Array.isArray(value) || depth > 0) return [];
   return Object.entries(value).flatMap(([key, inner]) => flat(`${name} ${key}`, inner, depth + 1));
 }
@@ -145,6 +146,14 @@ class Panels {
     return belief;
   }
 
+  /** Turns the picture by `angle`, degrees clockwise, inside the box that it has. */
+  turnPicture(angle) {
+    const [cos, sin] = [Math.cos, Math.sin].map((of) => Math.abs(of((angle * Math.PI) / 180)));
+    this.find("#picture").style.rotate = `${angle}deg`;
+    this.find("#picture").style.scale = String(1 / (cos + sin));
+    this.pictureKey = undefined;
+  }
+
   /** The received picture; its first row is the south, so it is turned over. */
   picture(flight, tick) {
     const picture = flight?.pictures.at(tick);
@@ -159,7 +168,7 @@ class Panels {
       return;
     }
     image.src = `data:image/png;base64,${picture.png}`;
-    image.alt = `Camera picture of interval ${picture.tick}, as received, north up.`;
+    image.alt = `Camera picture of interval ${picture.tick}, as received, ${this.find("#picture-up").textContent}.`;
     this.find("#picture-tick").textContent = `interval ${picture.tick}`;
   }
 
@@ -185,9 +194,10 @@ class Panels {
     this.ledgerLast = last;
   }
 
-  /** Counters of the link, as they stood last; of a link that was counted once, as it was counted. */
+  /** Counters of the link, as they stood last, which at the end is after the last interval; of a link that was counted
+      once, as it was counted. */
   link(flight, tick) {
-    const counted = flight?.links.at(tick) ?? flight?.links.values[0];
+    const counted = flight?.links.at(tick >= flight.head ? Infinity : tick) ?? flight?.links.values[0];
     this.find("#link").hidden = !counted;
     if (!counted) return;
     this.find("#link-title").textContent = `Link, interval ${counted.tick}`;
