@@ -141,11 +141,11 @@ fn nothing_that_is_printed_is_wider_than_the_terminal() {
         [&["fleet", "--vehicles", "2"], &few[..]].concat(),
     ];
     let gcs = program::path("gcs").unwrap();
-    for (columns, command) in
-        ["80", "60"].iter().flat_map(|columns| commands.iter().map(move |c| (columns, c)))
-    {
-        let args = [&[columns, gcs.to_str().unwrap()], &command[..]].concat();
-        let said = python::script("in_terminal.py", &args).unwrap().good().unwrap();
-        assert_eq!(said, "True, exit status 0\n", "{columns}: {command:?}");
+    for columns in ["80", "60"] {
+        for command in &commands {
+            let args = [&[columns, gcs.to_str().unwrap()], &command[..]].concat();
+            let said = python::script("in_terminal.py", &args).unwrap().good().unwrap();
+            assert_eq!(said, "True, exit status 0\n", "{columns}: {command:?}");
+        }
     }
 }

@@ -213,7 +213,7 @@ fn compare_limits(
     Ok(())
 }
 
-/// Prints a row of the table of [`compare`].
+/// Prints a row of the table of [`compare_limits`].
 fn put(line: &str) {
     crpl_sitl::out!("{}", columns::folded_line(line, &[9, 10, 11, 20, 9, 15, 11], columns::width()));
 }

@@ -7,31 +7,6 @@ const SNR_REACH_DB = 10;
 /** Points of the path that is still to come; of more, some are left out. */
 const FUTURE_POINTS = 500;
 
-/** An offscreen layer that is painted again only when its key changes. */
-class Layer {
-  constructor() {
-    this.canvas = document.createElement("canvas");
-    this.key = "";
-  }
-
-  /** A cleared context if the layer is out of date, else null. */
-  begin(key, width, height, ratio) {
-    const full = `${key}|${width}x${height}@${ratio}`;
-    if (full === this.key) return null;
-    this.key = full;
-    const size = [Math.round(width * ratio), Math.round(height * ratio)];
-    const context = this.canvas.getContext("2d");
-    // A canvas of the same size is wiped; to give it a size anew costs more.
-    if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.clearRect(0, 0, ...size);
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.lineJoin = "round";
-    context.lineCap = "round";
-    return context;
-  }
-}
-
 class FieldView {
   constructor(canvas, store) {
     this.canvas = canvas;
