@@ -152,7 +152,7 @@ type Told = Vec<(f64, f64)>;
 
 /// What one round collects.
 #[derive(Default)]
-struct Evidence {
+struct BoundEvidence {
     /// Lengths of steps that would have been longer.
     reach: Told,
     /// Coordinates shown where they would lie beyond a bound, `[low, high][axis]`.
@@ -160,7 +160,7 @@ struct Evidence {
 }
 
 fn round(linear: &PlaneLinear, samples: &[Sample], bounds: Bounds) -> Bounds {
-    let mut seen = Evidence::default();
+    let mut seen = BoundEvidence::default();
     for sample in samples {
         weigh(linear, &bounds, sample, &mut seen);
     }
@@ -216,7 +216,7 @@ fn best_of(
     tried.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(bounds, |(best, _)| best)
 }
 
-fn weigh(linear: &PlaneLinear, bounds: &Bounds, s: &Sample, seen: &mut Evidence) {
+fn weigh(linear: &PlaneLinear, bounds: &Bounds, s: &Sample, seen: &mut BoundEvidence) {
     let v = s.now - s.before;
     let met = [0, 1].map(|axis| bounds.meets(axis, s.now[axis], v[axis], bounds.contact));
     let kept = Vector2::from_fn(|axis, _| if met[axis] { bounds.kept } else { 1.0 });

@@ -93,5 +93,5 @@ fn a_gpx_track_reads_back() {
 #[test]
 fn rerun_s_own_format_is_refused_with_the_way_to_go() {
     let error = ExportFormat::Rrd.bytes(&flown()).unwrap_err().to_string();
-    assert!(error.contains("--to mcap"), "{error}");
+    assert!(error.contains("rerun-sdk") && error.contains("examples/python/to_rerun.py"), "{error}");
 }
