@@ -75,7 +75,9 @@ fn root() -> Option<PathBuf> {
 /// An empty folder, but for the examples.
 fn empty() -> tempfile::TempDir {
     let (dir, examples) = match root() {
-        Some(root) => (tempfile::tempdir_in(root.join("tmp")).unwrap(), "/usr/share/doc/crpl/examples".into()),
+        Some(root) => {
+            (tempfile::tempdir_in(root.join("tmp")).unwrap(), "/usr/share/doc/crpl/examples".into())
+        }
         None => (tempfile::tempdir().unwrap(), workspace().join("examples")),
     };
     std::os::unix::fs::symlink(examples, dir.path().join("examples")).unwrap();
