@@ -121,7 +121,8 @@ fn a_radio_stands_between_a_vehicle_and_a_station() {
 
 #[test]
 fn a_flight_is_watched_in_a_browser() {
-    let program = start("browser", empty().path());
+    let dir = empty();
+    let program = start("browser", dir.path());
     program.logs("watch: http://").unwrap();
     let said = program.so_far();
     let address = said.lines().find_map(|line| line.strip_prefix("watch: http://")).unwrap();
