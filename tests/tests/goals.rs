@@ -75,7 +75,9 @@ fn root() -> Option<PathBuf> {
 /// An empty folder, but for the examples.
 fn empty() -> tempfile::TempDir {
     let (dir, examples) = match root() {
-        Some(root) => (tempfile::tempdir_in(root.join("tmp")).unwrap(), "/usr/share/doc/crpl/examples".into()),
+        Some(root) => {
+            (tempfile::tempdir_in(root.join("tmp")).unwrap(), "/usr/share/doc/crpl/examples".into())
+        }
         None => (tempfile::tempdir().unwrap(), workspace().join("examples")),
     };
     std::os::unix::fs::symlink(examples, dir.path().join("examples")).unwrap();
@@ -119,7 +121,8 @@ fn a_radio_stands_between_a_vehicle_and_a_station() {
 
 #[test]
 fn a_flight_is_watched_in_a_browser() {
-    let program = start("browser", empty().path());
+    let dir = empty();
+    let program = start("browser", dir.path());
     program.logs("watch: http://").unwrap();
     let said = program.so_far();
     let address = said.lines().find_map(|line| line.strip_prefix("watch: http://")).unwrap();

@@ -27,6 +27,12 @@ use crate::watch::feed::Feed;
 /// How long a vehicle may take to start, and to end after its last tick.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// This program's file; where there is no /proc, as in a root that holds nothing else, the name that it was called by.
+fn this_program() -> Result<PathBuf> {
+    let called = || std::env::args_os().next().map(PathBuf::from);
+    std::env::current_exe().or_else(|error| called().ok_or(error)).context("finding this program")
+}
+
 /// A `sitl` process that ends with us.
 struct VehicleProcess {
     child: Child,
@@ -36,7 +42,7 @@ struct VehicleProcess {
 
 impl VehicleProcess {
     async fn start(config: &Path, flight: &DemoFlight<'_>) -> Result<Self> {
-        let program = std::env::current_exe().context("finding this program")?;
+        let program = this_program()?;
         let pace = match flight.pace {
             Pace::Lockstep => "lockstep",
             Pace::Realtime => "realtime",
