@@ -2,7 +2,6 @@
 
 use crpl_sitl::link::encoder::DATAGRAM;
 
-use super::link::Link;
 use super::{LinkId, Router};
 
 /// Bytes on their way out.
@@ -41,7 +40,8 @@ impl Router {
     /// Hands out everything that is to be sent: datagrams that fit a network's packets. `send` gives whether
     /// it was sent; only then it counts so.
     pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8]) -> bool) {
-        for (&id, Link { out, counters, .. }) in &mut self.links {
+        for (&id, link) in &mut self.links {
+            let (out, counters) = (&mut link.out, &mut link.counters);
             let mut begin = (0, 0);
             for end in out.ends.drain(..).chain([(out.bytes.len(), out.frames)]) {
                 if end.0 == begin.0 {
