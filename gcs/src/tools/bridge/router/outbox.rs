@@ -2,9 +2,6 @@
 
 use crpl_sitl::link::encoder::DATAGRAM;
 
-use super::link::Link;
-use super::{LinkId, Router};
-
 /// Bytes on their way out.
 #[derive(Debug, Default)]
 pub struct Outbox {
@@ -34,29 +31,5 @@ impl Outbox {
         }
         self.bytes.extend_from_slice(frame);
         self.frames += 1;
-    }
-}
-
-impl Router {
-    /// Hands out everything that is to be sent: datagrams that fit a network's packets. `send` gives whether
-    /// it was sent; only then it counts so.
-    pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8]) -> bool) {
-        for (&id, Link { out, counters, .. }) in &mut self.links {
-            let mut begin = (0, 0);
-            for end in out.ends.drain(..).chain([(out.bytes.len(), out.frames)]) {
-                if end.0 == begin.0 {
-                    continue;
-                }
-                if send(id, &out.bytes[begin.0..end.0]) {
-                    counters.sent_frames += end.1 - begin.1;
-                    counters.sent_bytes += (end.0 - begin.0) as u64;
-                } else {
-                    counters.send_errors += 1;
-                }
-                begin = end;
-            }
-            out.bytes.clear();
-            out.frames = 0;
-        }
     }
 }
