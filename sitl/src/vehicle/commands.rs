@@ -30,8 +30,7 @@ const CMD_DO_SET_MISSION_CURRENT: u16 = 224;
 /// DATA_TRANSMISSION_HANDSHAKE, which stands for a whole frame.
 pub(super) const IMAGE: f32 = 130.0;
 /// What autopilots take and this one does not: it says so.
-const LACKS: [u32; 6] = [
-    dialect::MANUAL_CONTROL_DATA::ID,
+const LACKS: [u32; 5] = [
     dialect::RC_CHANNELS_OVERRIDE_DATA::ID,
     dialect::SET_ATTITUDE_TARGET_DATA::ID,
     dialect::SET_ACTUATOR_CONTROL_TARGET_DATA::ID,

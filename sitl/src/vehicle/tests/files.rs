@@ -71,8 +71,8 @@ fn what_the_vehicle_lacks_is_said_once() {
     assert_eq!(texts(&bench.send(&attitude(7))), ["SET_ATTITUDE_TARGET is not supported"]);
     bench.now += Duration::from_secs(60);
     assert_eq!(texts(&bench.send(&attitude(7))), [""; 0]);
-    let sticks = dialect::MANUAL_CONTROL_DATA { target: 7, ..Default::default() };
-    assert_eq!(texts(&bench.send(&sticks)), ["MANUAL_CONTROL is not supported"]);
+    let sticks = dialect::RC_CHANNELS_OVERRIDE_DATA { target_system: 7, ..Default::default() };
+    assert_eq!(texts(&bench.send(&sticks)), ["RC_CHANNELS_OVERRIDE is not supported"]);
     let origin = dialect::SET_GPS_GLOBAL_ORIGIN_DATA { target_system: 7, ..Default::default() };
     assert_eq!(texts(&bench.send(&origin)), ["SET_GPS_GLOBAL_ORIGIN is not supported"]);
 }

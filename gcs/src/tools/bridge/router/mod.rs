@@ -293,6 +293,28 @@ impl Router {
         verdict == CopyVerdict::New
     }
 
+    /// Hands out everything that is to be sent: datagrams that fit a network's packets. `send` gives whether
+    /// it was sent; only then it counts so.
+    pub fn flush(&mut self, mut send: impl FnMut(LinkId, &[u8]) -> bool) {
+        for (&id, Link { out, counters, .. }) in &mut self.links {
+            let mut begin = (0, 0);
+            for end in out.ends.drain(..).chain([(out.bytes.len(), out.frames)]) {
+                if end.0 == begin.0 {
+                    continue;
+                }
+                if send(id, &out.bytes[begin.0..end.0]) {
+                    counters.sent_frames += end.1 - begin.1;
+                    counters.sent_bytes += (end.0 - begin.0) as u64;
+                } else {
+                    counters.send_errors += 1;
+                }
+                begin = end;
+            }
+            out.bytes.clear();
+            out.frames = 0;
+        }
+    }
+
     /// Frames of a link were refused for their signatures.
     pub fn refused(&mut self, id: LinkId, frames: u64) {
         if let Some(link) = self.links.get_mut(&id) {
