@@ -49,7 +49,7 @@ const CRASHES: [&str; 4] = ["crash", "disarming", "terminat", "parachute"];
 
 /// What tells by whom a mode was left, and why a vehicle does not answer.
 #[derive(Debug, Default)]
-pub(super) struct Evidence {
+pub(super) struct LeavingEvidence {
     /// Why it has left its mode, by its heartbeat.
     left: String,
     /// Its motors stopped in the air: how high, m.

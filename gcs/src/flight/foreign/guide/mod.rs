@@ -59,7 +59,7 @@ use crate::flight::FlightEnd;
 use crate::tools::command::CommandQueue;
 use crate::tools::fleet::{self, Fleet, News};
 use crate::tools::texts::Texts;
-use leaving::Evidence;
+use leaving::LeavingEvidence;
 
 /// How long one step may take, in the vehicle's time.
 const PATIENCE: Duration = Duration::from_secs(90);
@@ -166,7 +166,7 @@ pub struct Guide {
     /// Why it holds its place, if not because the flight is over.
     failing: Option<(FlightEnd, String)>,
     /// What tells by whom its mode was left, and why it does not answer.
-    evidence: Evidence,
+    evidence: LeavingEvidence,
     /// It flew when it was found.
     airborne: bool,
     /// A command to the newest percept has not come yet, and is late.
@@ -217,7 +217,7 @@ impl Guide {
             texts: Texts::default(),
             last: WhenOver::Hold,
             failing: None,
-            evidence: Evidence::default(),
+            evidence: LeavingEvidence::default(),
             airborne: false,
             undecided: false,
             late: false,
