@@ -38,6 +38,8 @@ impl NarratorThread {
         let (sights, told) = channel::<StationSight>();
         let waiting = Arc::new(AtomicUsize::new(0));
         let left = waiting.clone();
+        // Threads inherit their priority: the pool that the whole program shares begins here, not in the thread below.
+        let _ = rayon::current_num_threads();
         let thread = std::thread::spawn(move || {
             priority::give_way();
             for sight in told {
