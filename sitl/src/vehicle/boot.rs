@@ -34,6 +34,7 @@ impl Vehicle {
         if let Some(home) = self.start.home {
             self.site = Site::with_home(&home, start);
         }
+        self.home = None;
         self.heading = Heading::at(self.start.home.map_or(0.0, |home| home.heading.to_radians()));
         (self.conduct, self.height) = if self.start.on_ground {
             (Conduct::parked(), Height::hovering(0.0))

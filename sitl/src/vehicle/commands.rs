@@ -20,6 +20,7 @@ use crate::radio::message::Command;
 use crate::units::TxPower;
 
 const CMD_PREFLIGHT_REBOOT: u16 = 246;
+const CMD_DO_SET_HOME: u16 = 179;
 const CMD_GET_HOME_POSITION: u16 = 410;
 const CMD_GET_MESSAGE_INTERVAL: u16 = 510;
 const CMD_SET_MESSAGE_INTERVAL: u16 = 511;
@@ -178,6 +179,16 @@ impl Vehicle {
             CMD_REQUEST_MESSAGE if to_autopilot && first == IMAGE => {
                 self.ack(ask.command, OK, component, asker, from);
                 self.send_image(from);
+            }
+            CMD_DO_SET_HOME if to_autopilot => {
+                let result = self.set_home(ask);
+                self.ack(ask.command, result, AUTOPILOT, asker, from);
+                if result == OK {
+                    // Everybody's map shows it.
+                    for peer in self.addresses() {
+                        self.send_by_id(dialect::HOME_POSITION_DATA::ID, peer, now);
+                    }
+                }
             }
             CMD_GET_HOME_POSITION if to_autopilot => {
                 self.ack(ask.command, OK, AUTOPILOT, asker, from);

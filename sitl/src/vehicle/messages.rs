@@ -75,7 +75,7 @@ pub(super) struct VehicleState {
     /// Latitude and longitude of the start, 1e-7 degrees.
     pub launch: [i32; 2],
     /// The same, north and east, m.
-    pub start: [f32; 2],
+    pub home: [f32; 2],
     pub battery: Battery,
     pub fates: Fates,
     /// Where it goes by itself, paper x/y.
@@ -409,7 +409,7 @@ fn system_status(state: &VehicleState) -> dialect::SYS_STATUS_DATA {
 
 fn home_position(state: &VehicleState) -> dialect::HOME_POSITION_DATA {
     let [latitude, longitude] = state.launch;
-    let [x, y] = state.start;
+    let [x, y] = state.home;
     dialect::HOME_POSITION_DATA {
         latitude,
         longitude,

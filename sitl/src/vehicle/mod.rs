@@ -68,6 +68,8 @@ pub use tally::Tally;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
+use nalgebra::Vector2;
+
 use crate::link::dialect::{self, MavSeverity};
 use crate::link::messages::View;
 use crate::link::messages::service::SetupSigning;
@@ -112,6 +114,8 @@ pub struct Vehicle {
     heading: Heading,
     /// How it begins, and begins anew.
     start: Start,
+    /// Where RTL leads, paper x/y, if a station has set that; else its start.
+    home: Option<Vector2<f64>>,
     site: Site,
     /// A setpoint that waits for the radio's next interval.
     waiting_target: Option<WaitingTarget>,
@@ -205,6 +209,7 @@ impl Vehicle {
             begun: false,
             ready: false,
             acknowledged: false,
+            home: None,
             newest_power: None,
             contact: Contact::default(),
             said: BTreeMap::new(),

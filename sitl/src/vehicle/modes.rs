@@ -23,6 +23,7 @@
 //! | MISSION_START | ACCEPTED, as AUTO from the current item |
 //! | DO_PAUSE_CONTINUE 0, 1 | ACCEPTED: LOITER; the mission goes on, or GUIDED; else DENIED |
 //! | DO_REPOSITION in the air to a point and a height that can be flown to, in GUIDED or with the flag to change mode | ACCEPTED, else DENIED; without a place or a height the present one stays |
+//! | DO_SET_HOME, here or to a point that can be flown to | ACCEPTED, and HOME_POSITION to all; else DENIED |
 //! | CONDITION_YAW, absolute or relative | ACCEPTED in GUIDED and AUTO, else FAILED |
 //! | DO_CHANGE_SPEED to a ground speed up to the limit, a speed of climb; -1 no change, -2 the speed of its start | ACCEPTED, else DENIED |
 //!
@@ -380,10 +381,30 @@ impl Vehicle {
     /// Where RTL leads, paper x/y.
     pub(super) fn return_point(&self) -> Vector2<f64> {
         let here = self.sim.world().uav.r;
-        let start = self.sim.scenario().start;
+        let home = self.home();
         let rally = self.rally.iter().filter_map(|item| self.inside(item.north_east(&self.site)));
         let nearer = |a: &Vector2<f64>, b: &Vector2<f64>| (a - here).norm().total_cmp(&(b - here).norm());
-        rally.chain([start]).min_by(nearer).unwrap_or(start)
+        rally.chain([home]).min_by(nearer).unwrap_or(home)
+    }
+
+    /// Home, paper x/y: its start, unless a station has set another.
+    pub(super) fn home(&self) -> Vector2<f64> {
+        self.home.unwrap_or(self.sim.scenario().start)
+    }
+
+    /// DO_SET_HOME: here, or a place to which it can fly. The ground is flat: heights count from it as before.
+    pub(super) fn set_home(&mut self, ask: &Ask) -> MavResult {
+        let here = ask.params[0] == 1.0;
+        let place = if here {
+            Some(self.sim.world().uav.r)
+        } else {
+            ask.place.and_then(|place| self.inside(self.site.north_east(place)))
+        };
+        if place.is_none() {
+            return MavResult::MAV_RESULT_DENIED;
+        }
+        self.home = place;
+        MavResult::MAV_RESULT_ACCEPTED
     }
 
     /// What the motors do about the height in the interval that begins now.

@@ -99,7 +99,7 @@ impl Vehicle {
             target: self.target(),
             scale: scenario.scale,
             traffic: self.meter.status(&self.tally().packets, now),
-            start: scenario.scale.ned_from_paper(scenario.start),
+            home: scenario.scale.ned_from_paper(self.home()),
             accel: scenario.scale.ned_from_paper_acceleration(flown),
             battery: self.battery,
             fates: self.sim.fates(),
@@ -179,10 +179,10 @@ impl Vehicle {
         }
     }
 
-    /// Where it began and returns to: latitude and longitude, 1e-7 degrees.
+    /// Where it returns to: latitude and longitude, 1e-7 degrees.
     pub(super) fn launch(&self) -> [i32; 2] {
         let scenario = self.sim.scenario();
-        self.site.latitude_longitude(scenario.scale.ned_from_paper(scenario.start))
+        self.site.latitude_longitude(scenario.scale.ned_from_paper(self.home()))
     }
 
     pub(super) fn addresses(&self) -> Vec<PeerId> {

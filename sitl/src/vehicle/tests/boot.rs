@@ -172,3 +172,59 @@ fn a_mission_outlives_a_reboot() {
     let reply = bench.send(&list);
     assert_eq!(reply.iter().find_map(MissionCount::of).map(|told| told.count), Some(1));
 }
+
+#[test]
+fn home_is_set_here_or_there_and_rtl_leads_to_it() {
+    let mut bench = Bench::new();
+    bench.hello();
+    let home = |packets: &[Packet]| {
+        packets.iter().find_map(|packet| match packet.message() {
+            Some(MavMessage::HOME_POSITION(home)) => {
+                Some([home.x, home.y, home.latitude as f32, home.longitude as f32])
+            }
+            _ => None,
+        })
+    };
+    let began = home(&bench.send(&ask(MavCmd::MAV_CMD_GET_HOME_POSITION, 0.0, (7, 1)))).unwrap();
+    assert_eq!(began[..2], [250.0, 50.0]);
+    for tick in 0..5 {
+        bench.command(tick, [5.0, 0.0], TxPower::Low);
+        bench.vehicle.advance(bench.now);
+    }
+    let [north, east] = bench.vehicle.sim.telemetry().position;
+    assert!(north > 250.5);
+    let reply = bench.send(&ask(MavCmd::MAV_CMD_DO_SET_HOME, 1.0, (7, 1)));
+    assert_eq!(result(&reply), Some(MavResult::MAV_RESULT_ACCEPTED));
+    let here = home(&reply).unwrap();
+    assert!((here[0] - north).abs() < 0.1 && (here[1] - east).abs() < 0.1 && here[2] > began[2], "{here:?}");
+
+    // Elsewhere, as COMMAND_INT has it; and nowhere, outside the walls, not a number.
+    let there = bench.vehicle.site.latitude_longitude([300.0, 200.0]);
+    let set = |x: i32, y: i32| dialect::COMMAND_INT_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_HOME,
+        x,
+        y,
+        target_system: 7,
+        target_component: 1,
+        ..Default::default()
+    };
+    let denied = Some(MavResult::MAV_RESULT_DENIED);
+    for [x, y] in [[0, 0], [i32::MAX, i32::MAX], [there[0] + 100_000_000, there[1]]] {
+        assert_eq!(result(&bench.send(&set(x, y))), denied, "{x} {y}");
+    }
+    let nan =
+        dialect::COMMAND_LONG_DATA { param5: f32::NAN, ..ask(MavCmd::MAV_CMD_DO_SET_HOME, 0.0, (7, 1)) };
+    assert_eq!(result(&bench.send(&nan)), denied);
+    let reply = bench.send(&set(there[0], there[1]));
+    assert_eq!(result(&reply), Some(MavResult::MAV_RESULT_ACCEPTED));
+    let moved = home(&reply).unwrap();
+    assert!((moved[0] - 300.0).abs() < 0.1 && (moved[1] - 200.0).abs() < 0.1, "{moved:?}");
+    let scale = bench.vehicle.sim.scenario().scale;
+    let led = scale.ned_from_paper(bench.vehicle.return_point());
+    assert!((led[0] - 300.0).abs() < 0.1 && (led[1] - 200.0).abs() < 0.1, "{led:?}");
+
+    // A reboot begins at the start again.
+    bench.send(&ask(MavCmd::MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0, (7, 1)));
+    let again = home(&bench.send(&ask(MavCmd::MAV_CMD_GET_HOME_POSITION, 0.0, (7, 1)))).unwrap();
+    assert_eq!(again, began);
+}
