@@ -41,7 +41,9 @@ fn slope_by_differences(
             d.obstacles.push([moved(f32::from(n)), moved(0.9 * f32::from(n))]);
         });
     }
-    let cost = Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..Cost::default() };
+    // A terminal cost that begins within the rollout, and a flight that goes on after it.
+    draws.iter_mut().for_each(|d| d.beyond = 3 * usize::from(seed % 2 == 0));
+    let cost = Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..objective.cost.clone() };
     let objective = &Objective { cost, ..objective.clone() };
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
     let mut motion = Policies::untrained(&mut rng).motion;
@@ -80,6 +82,23 @@ fn gradient_agrees_with_finite_differences() {
             let (exact, differences, _) = slope_by_differences(&objective(0.9, 0.9), limits, seed, obstacles);
             assert_near(exact, differences, &format!("{limits:?}, seed {seed}, {obstacles} obstacles"));
         }
+    }
+}
+
+/// Where the link is lost half of the time and hardly anything else costs, the slope is the gain's: that of the obstacle
+/// that blocks more.
+#[test]
+fn a_link_that_comes_and_goes_has_its_slope() {
+    for (seed, obstacles) in (0..4).flat_map(|seed| [(seed, 1), (seed, 2), (seed, 3)]) {
+        let slope = |snr_min: f64| {
+            let cost = Cost { goal: 1e-4, ..Cost::default() };
+            let objective = Objective { snr_min, cost, ..objective(0.9, 0.9) };
+            slope_by_differences(&objective, RolloutLimits::Clip, 3 * seed, obstacles)
+        };
+        let all = (-20..20).map(|n| slope(f64::from(n).exp2()));
+        let (exact, differences, here) = all.into_iter().find(|(_, _, here)| here.p_comm < 0.6).unwrap();
+        assert!(here.p_comm > 0.15, "{here:?}");
+        assert_near(exact, differences, &format!("seed {seed}, {obstacles} obstacles, {here:?}"));
     }
 }
 

@@ -71,7 +71,8 @@ fn case(limits: RolloutLimits) -> Case {
     let draws = Draws { start, obstacles, reported_obstacle: None, wind, beyond: 3, opening };
     let base = Objective { beta: 40.0, alpha: 2.5, ..Objective::default() };
     let mut objective = problem.objective(&base, 1.0);
-    objective.cost.settle_intervals = 8;
+    // Each part of the cost is felt.
+    (objective.cost.settle_intervals, objective.cost.motion, objective.cost.power) = (8, 0.03, 0.01);
     let mut plant = problem.plant().clone();
     // As the probe has them: what a picture of a corner is off by, a reflection doubles.
     plant.areas = margins
@@ -164,7 +165,7 @@ fn a_rollout_is_its_equations() {
     for limits in [RolloutLimits::Plain, RolloutLimits::Clip, RolloutLimits::Walls] {
         for (execution, power) in [(Execution::Nearest, 4.0), (Execution::Relaxed, 1.0)] {
             let mut case = case(limits);
-            if execution == Execution::Relaxed {
+            if limits == RolloutLimits::Clip {
                 case.draws.reported_obstacle = Some([0.3, -0.7]);
             }
             let options = RolloutOptions { eta: None, power, execution };
