@@ -205,6 +205,19 @@ fn a_link_that_needs_too_much_is_never_there_and_one_that_needs_nothing_always()
     };
     assert_eq!(share(1e-9), 1.0);
     assert_eq!(share(1e12), 0.0);
+    // Full power is four times low power: so much more may be asked of the weakest link of all.
+    let weakest = {
+        let noise = Noise::new(0);
+        let draws =
+            problem.draws(&noise, Stream::Evaluation, 1 << 30, COUNTED, problem.obstacle, config.horizon);
+        let options = RolloutOptions { eta: None, power: 1.0, execution: Execution::Nearest };
+        let o = Objective { snr_min: 1.0, ..leading(&problem, &config) };
+        let told =
+            draws.iter().map(|d| rollout::forward(&problem.plant, &o, options, &motion, d).told().ratio);
+        f64::from(told.flatten().flatten().fold(f32::INFINITY, f32::min))
+    };
+    assert_eq!(share(4.0 * weakest * 0.99), 1.0);
+    assert!((0.5..1.0).contains(&share(4.0 * weakest * 1.01)));
 }
 
 /// Costs of the iterations of a phase that learns nothing.
