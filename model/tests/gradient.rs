@@ -42,7 +42,7 @@ fn slope_by_differences(
         });
     }
     // A terminal cost that begins within the rollout, and a flight that goes on after it.
-    draws.iter_mut().for_each(|d| d.beyond = 3 * usize::from(seed % 2 == 0));
+    draws.iter_mut().for_each(|d| d.beyond = 3 * usize::from(seed.is_multiple_of(2)));
     let cost = Cost { settle: 0.1 * (seed % 3) as f64, settle_intervals: 7, ..objective.cost.clone() };
     let objective = &Objective { cost, ..objective.clone() };
     let options = RolloutOptions { eta: Some(1.0), power: 4.0, execution: Execution::Relaxed };
